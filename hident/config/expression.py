@@ -1,0 +1,176 @@
+"""Formulas in configurations, parsed against a whitelist and never passed to ``eval``."""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hident.config.suggest import did_you_mean, one_of
+
+CONSTANTS: dict[str, float] = {"pi": math.pi, "e": math.e}
+FUNCTIONS: dict[str, tuple[Callable[..., Any], int]] = {
+    "abs": (np.abs, 1),
+    "sign": (np.sign, 1),
+    "sqrt": (np.sqrt, 1),
+    "exp": (np.exp, 1),
+    "log": (np.log, 1),
+    "log10": (np.log10, 1),
+    "sin": (np.sin, 1),
+    "cos": (np.cos, 1),
+    "tan": (np.tan, 1),
+    "arcsin": (np.arcsin, 1),
+    "arccos": (np.arccos, 1),
+    "arctan": (np.arctan, 1),
+    "sinh": (np.sinh, 1),
+    "cosh": (np.cosh, 1),
+    "tanh": (np.tanh, 1),
+    "floor": (np.floor, 1),
+    "ceil": (np.ceil, 1),
+    "minimum": (np.minimum, 2),
+    "maximum": (np.maximum, 2),
+    "clip": (np.clip, 3),
+    "where": (np.where, 3),
+}
+_BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: np.add,
+    ast.Sub: np.subtract,
+    ast.Mult: np.multiply,
+    ast.Div: np.divide,
+    ast.Pow: np.power,
+}
+_COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+    ast.Lt: np.less,
+    ast.LtE: np.less_equal,
+    ast.Gt: np.greater,
+    ast.GtE: np.greater_equal,
+    ast.Eq: np.equal,
+    ast.NotEq: np.not_equal,
+}
+_LONGEST = 1000
+
+
+class FormulaError(ValueError):
+    """A formula uses something outside the whitelist."""
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A formula over named variables, built of + - * / **, comparisons and whitelisted functions.
+
+    Parameters
+    ----------
+    text : str
+        The formula, at most 1000 characters, e.g. ``"0.5*abs(u) + 2*sin(u)"``.
+    variables : tuple of str
+        The names that the formula may use besides the constants ``pi`` and ``e``.
+
+    Raises
+    ------
+    FormulaError
+        If the text is not a formula; the message names the part and what is allowed.
+    """
+
+    text: str
+    variables: tuple[str, ...] = ()
+    _tree: ast.expr = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if len(self.text) > _LONGEST:
+            raise FormulaError(f"a formula has at most {_LONGEST} characters, not {len(self.text)}")
+        try:
+            tree = ast.parse(self.text.strip(), mode="eval").body
+        except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
+            reason = error.msg if isinstance(error, SyntaxError) else "it is too complex"
+            raise FormulaError(f"cannot read the formula {self.text!r}: {reason}") from None
+        _check(tree, self.text, self.variables)
+        object.__setattr__(self, "_tree", tree)
+
+    def __call__(self, **values: NDArray[np.float64] | float) -> Any:
+        """Evaluate on scalars or arrays of one shape; invalid operations give nan or inf."""
+        with np.errstate(all="ignore"):
+            return _evaluate(self._tree, values)
+
+
+def number(text: str) -> float:
+    """Evaluate a formula without variables, e.g. ``number("2*pi")``.
+
+    Raises
+    ------
+    FormulaError
+        If the text is not a formula or its value is not a finite number.
+    """
+    value = float(Formula(text)())
+    if not math.isfinite(value):
+        raise FormulaError(f"the formula {text!r} gives {value}, not a finite number")
+    return value
+
+
+def _check(node: ast.expr, text: str, variables: tuple[str, ...]) -> None:
+    children: list[ast.expr]
+    match node:
+        case ast.Constant(value=bool()):
+            raise FormulaError(f"{node.value!r} is not allowed in a formula ({text!r})")
+        case ast.Constant(value=int() | float()):
+            children = []
+        case ast.Name(id=name):
+            if name not in CONSTANTS and name not in variables:
+                known = (*variables, *CONSTANTS, *FUNCTIONS)
+                allowed = one_of((*variables, *CONSTANTS))
+                raise FormulaError(
+                    f"unknown name '{name}' in the formula {text!r}{did_you_mean(name, known)}"
+                    f" (allowed: {allowed} and the functions {one_of(FUNCTIONS)})"
+                )
+            children = []
+        case ast.UnaryOp(op=ast.UAdd() | ast.USub(), operand=operand):
+            children = [operand]
+        case ast.BinOp(left=left, op=operator, right=right) if type(operator) in _BINARY:
+            children = [left, right]
+        case ast.Compare(left=left, ops=[operator], comparators=[right]) if (
+            type(operator) in _COMPARE
+        ):
+            children = [left, right]
+        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
+            if name not in FUNCTIONS:
+                raise FormulaError(
+                    f"unknown function '{name}' in the formula {text!r}"
+                    f"{did_you_mean(name, FUNCTIONS)} (allowed: {one_of(FUNCTIONS)})"
+                )
+            wanted = FUNCTIONS[name][1]
+            if len(arguments) != wanted:
+                raise FormulaError(
+                    f"'{name}' takes {wanted} argument{'s' if wanted > 1 else ''}, "
+                    f"not {len(arguments)}, in the formula {text!r}"
+                )
+            children = list(arguments)
+        case _:
+            part = ast.get_source_segment(text.strip(), node) or text
+            raise FormulaError(
+                f"{part!r} is not allowed in a formula "
+                "(allowed: numbers, + - * / **, one comparison, and function calls)"
+            )
+    for child in children:
+        _check(child, text, variables)
+
+
+def _evaluate(node: ast.expr, values: dict[str, Any]) -> Any:
+    match node:
+        case ast.Constant(value=value):
+            return float(value)  # type: ignore[arg-type]
+        case ast.Name(id=name):
+            return values[name] if name in values else CONSTANTS[name]
+        case ast.UnaryOp(op=operator, operand=operand):
+            value = _evaluate(operand, values)
+            return np.negative(value) if isinstance(operator, ast.USub) else value
+        case ast.BinOp(left=left, op=operation, right=right):
+            return _BINARY[type(operation)](_evaluate(left, values), _evaluate(right, values))
+        case ast.Compare(left=left, ops=[comparison], comparators=[right]):
+            return _COMPARE[type(comparison)](_evaluate(left, values), _evaluate(right, values))
+        case ast.Call(func=ast.Name(id=name), args=arguments):
+            return FUNCTIONS[name][0](*(_evaluate(argument, values) for argument in arguments))
+    raise AssertionError(f"unchecked node {node!r}")

@@ -1,0 +1,19 @@
+"""The nearest valid name, for error messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+def did_you_mean(name: str, allowed: Iterable[str]) -> str:
+    """Return ``"; did you mean 'x'?"`` for the nearest allowed name, or an empty string."""
+    names = list(allowed)
+    lowered = {candidate.lower(): candidate for candidate in names}
+    near = get_close_matches(str(name).lower(), lowered, n=1, cutoff=0.6)
+    return f"; did you mean '{lowered[near[0]]}'?" if near else ""
+
+
+def one_of(names: Iterable[str]) -> str:
+    """Return the names as a comma-separated list in their given order."""
+    return ", ".join(str(name) for name in names)

@@ -1,0 +1,1 @@
+"""Trials: generating data, running estimators, storing what comes out."""

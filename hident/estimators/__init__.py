@@ -1,0 +1,1 @@
+"""Estimators, one file for each method: a plain function on arrays, then its spec."""

@@ -1,0 +1,1 @@
+"""Excitations, noise, and the random streams that they draw from."""

@@ -1,0 +1,1 @@
+"""True systems: static nonlinearities, linear blocks and their compositions."""

@@ -1,0 +1,53 @@
+"""What every system, linear block and nonlinearity spec answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+
+from hident.config.spec import Component
+from hident.records import Array, Truth
+
+
+class NonlinearitySpec(Component):
+    """Base of all static nonlinearities; also used as instruments and known functions."""
+
+    def __call__(self, u: Array) -> Array:
+        """The characteristic at ``u``, elementwise, float64 of the shape of ``u``."""
+        raise NotImplementedError
+
+    def break_points(self) -> tuple[float, ...]:
+        """Where the characteristic or its derivative jumps, in increasing order."""
+        return ()
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A noise-free simulation: the output (N,) and the signals inside, by name, each (N,)."""
+
+    output: Array
+    internal: dict[str, Array]
+
+
+class SystemSpec(Component):
+    """Base of all systems."""
+
+    def burn_in(self) -> int:
+        """Samples before the record after which the start no longer matters."""
+        return 0
+
+    def simulate(self, u: Array) -> Simulation:
+        """The noise-free response to ``u`` (N,)."""
+        raise NotImplementedError
+
+    def truth(self) -> Truth:
+        """The parts of the system that an estimate can be compared with."""
+        raise NotImplementedError
+
+    def provides(self) -> frozenset[str]:
+        """The parts that :meth:`truth` holds: ``nonlinearity``, ``linear``, ``value NAME``."""
+        truth = self.truth()
+        parts: dict[str, Any] = {"nonlinearity": truth.nonlinearity, "linear": truth.linear}
+        known = {name for name, part in parts.items() if part is not None}
+        return frozenset(known | {f"value {name}" for name in truth.values})
