@@ -131,9 +131,7 @@ def _check(node: ast.expr, text: str, variables: tuple[str, ...]) -> None:
             children = [operand]
         case ast.BinOp(left=left, op=operator, right=right) if type(operator) in _BINARY:
             children = [left, right]
-        case ast.Compare(left=left, ops=[operator], comparators=[right]) if (
-            type(operator) in _COMPARE
-        ):
+        case ast.Compare(left=left, ops=[operator], comparators=[right]) if type(operator) in _COMPARE:
             children = [left, right]
         case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
             if name not in FUNCTIONS:

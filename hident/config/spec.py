@@ -81,9 +81,7 @@ Flag = Annotated[bool, Strict()]
 class Spec(BaseModel):
     """A frozen part of a configuration; unknown keys are refused with the nearest valid name."""
 
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
     @model_validator(mode="wrap")
     @classmethod
@@ -169,9 +167,7 @@ class Of:
     def __init__(self, family: Family) -> None:
         self.family = family
 
-    def __get_pydantic_core_schema__(
-        self, source: Any, handler: GetCoreSchemaHandler
-    ) -> CoreSchema:
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self.validate)
 
     def __get_pydantic_json_schema__(
@@ -194,9 +190,7 @@ class Of:
         if isinstance(value, str):
             value = {"kind": value}
         if not isinstance(value, Mapping):
-            raise PydanticCustomError(
-                "config", f"must be a mapping with 'kind:' (allowed: {one_of(known)})"
-            )
+            raise PydanticCustomError("config", f"must be a mapping with 'kind:' (allowed: {one_of(known)})")
         if "kind" not in value:
             raise _at_kind(f"is required: the {self.family} (allowed: {one_of(known)})", value)
         kind = value["kind"]
@@ -208,9 +202,7 @@ class Of:
 
 
 def _at_kind(message: str, value: Any) -> ValidationError:
-    detail = InitErrorDetails(
-        type=PydanticCustomError("config", message), loc=("kind",), input=value
-    )
+    detail = InitErrorDetails(type=PydanticCustomError("config", message), loc=("kind",), input=value)
     return ValidationError.from_exception_data("component", [detail])
 
 

@@ -46,9 +46,7 @@ class TransferFunction:
     def inverse(self) -> TransferFunction:
         """The block A/B that undoes this one; b_0 must not be zero."""
         b0 = self.b[0]
-        return TransferFunction(
-            b=tuple(self.denominator / b0), a=tuple(-value / b0 for value in self.b[1:])
-        )
+        return TransferFunction(b=tuple(self.denominator / b0), a=tuple(-value / b0 for value in self.b[1:]))
 
     def filter(self, w: Array, initial: Array | None = None) -> Array:
         """The response to ``w`` (N,) from the past outputs ``initial`` (v_{-1}, ..., v_{-p}) or rest."""
