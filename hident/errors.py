@@ -49,7 +49,7 @@ class NothingToCompare(HidentError):
     exit_code = Exit.NOTHING
 
 
-class EstimationFailure(Exception):
+class EstimationError(Exception):
     """A singular or diverged estimate: a result, counted as failed, not a crash.
 
     Estimators raise it with a message that says what happened.

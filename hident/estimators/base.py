@@ -11,7 +11,7 @@ from hident.records import Estimate, Record
 class EstimatorSpec(Component):
     """Base of all estimators.
 
-    ``fit`` raises :class:`hident.errors.EstimationFailure` when the estimate is singular or diverges.
+    ``fit`` raises :class:`hident.errors.EstimationError` when the estimate is singular or diverges.
     """
 
     def provides(self) -> frozenset[str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-
 from hident.config.spec import Component
 from hident.records import Array, Truth
 
