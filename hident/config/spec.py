@@ -8,6 +8,7 @@ listing, the contract tests and the documentation follow from it.
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
@@ -99,12 +100,20 @@ class Spec(BaseModel):
     def _explained(cls, detail: Any) -> InitErrorDetails:
         message, key = detail["msg"], detail["loc"][-1] if detail["loc"] else ""
         if detail["type"] == "extra_forbidden" and len(detail["loc"]) == 1:
-            allowed = [name for name in cls.model_fields]
+            allowed = list(cls.model_fields)
             message = f"unknown key{did_you_mean(str(key), allowed)} (allowed: {one_of(allowed)})"
         elif detail["type"] == "missing" and len(detail["loc"]) == 1:
             described = cls.model_fields[str(key)].description
             message = "is required" + (f": {described.rstrip('.')}" if described else "")
-        message = message.removeprefix("Value error, ").replace("{", "{{").replace("}", "}}")
+        elif detail["type"] == "literal_error":
+            expected = detail["ctx"]["expected"]
+            near = did_you_mean(str(detail["input"]), re.findall("'([^']*)'", expected))
+            message = f"must be {expected}{near}"
+        elif detail["type"] in ("tuple_type", "list_type"):
+            message = "must be a list"
+        elif detail["type"] == "dict_type":
+            message = "must be a mapping of keys to values"
+        message = message.removeprefix("Value error, ").replace("Input should be", "must be")
         return InitErrorDetails(
             type=PydanticCustomError("config", message),
             loc=detail["loc"],
@@ -158,6 +167,9 @@ def components(family: Family) -> dict[str, type[Component]]:
     return dict(sorted(_REGISTER.get(family, {}).items()))
 
 
+_FAMILY = "x-family"
+
+
 class Of:
     """Pydantic annotation: a component of the family, written as a mapping with ``kind:``.
 
@@ -173,15 +185,8 @@ class Of:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        options: list[dict[str, Any]] = []
-        for kind, cls in components(self.family).items():
-            option = handler.resolve_ref_schema(handler(cls.__pydantic_core_schema__))
-            option = {**option, "properties": {"kind": {"const": kind}, **option["properties"]}}
-            option["required"] = ["kind", *option.get("required", [])]
-            options.append(option)
-            if not any(field.is_required() for field in cls.model_fields.values()):
-                options.append({"const": kind})
-        return {"anyOf": options}
+        # Families refer to each other, so they become definitions: see json_schema.
+        return {_FAMILY: self.family}
 
     def validate(self, value: Any) -> Component:
         known = components(self.family)
@@ -223,3 +228,39 @@ def canonical(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [canonical(item) for item in value]
     return value
+
+
+def json_schema(model: type[Spec]) -> dict[str, Any]:
+    """The JSON Schema of a model, with every registered component of each family it can hold."""
+    definitions: dict[str, Any] = {}
+
+    def linked(node: Any) -> Any:
+        if isinstance(node, list):
+            return [linked(item) for item in node]
+        if not isinstance(node, dict):
+            return node
+        if _FAMILY in node:
+            rest = {key: linked(item) for key, item in node.items() if key != _FAMILY}
+            return {**rest, "$ref": f"#/$defs/{node[_FAMILY]}"}
+        return {key: linked(item) for key, item in node.items()}
+
+    def schema_of(cls: type[Spec]) -> dict[str, Any]:
+        schema = linked(cls.model_json_schema())
+        definitions.update(schema.pop("$defs", {}))
+        return dict(schema)
+
+    top = schema_of(model)
+    for family in PLURALS.values():
+        options: list[dict[str, Any]] = []
+        for kind, cls in components(family).items():
+            schema = schema_of(cls)
+            schema["properties"] = {"kind": {"const": kind}, **schema["properties"]}
+            bare = not schema.get("required")
+            schema["required"] = ["kind", *schema.get("required", [])]
+            options += [schema, {"const": kind}] if bare else [schema]
+        definitions[family] = {"anyOf": options}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **top,
+        "$defs": dict(sorted(definitions.items())),
+    }

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from hident.config.spec import Component
-from hident.records import Estimate, Record
+from hident.errors import EstimationError
+from hident.records import Array, Estimate, Record
 
 
 class EstimatorSpec(Component):
@@ -13,6 +16,9 @@ class EstimatorSpec(Component):
 
     ``fit`` raises :class:`hident.errors.EstimationError` when the estimate is singular or diverges.
     """
+
+    identifies_dynamics: ClassVar[bool] = False
+    """Whether the estimate always holds a discrete linear block, so that it can serve as a prefilter."""
 
     def provides(self) -> frozenset[str]:
         """The parts of the estimate: ``nonlinearity``, ``linear`` and ``value NAME`` for each value."""
@@ -25,3 +31,10 @@ class EstimatorSpec(Component):
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         """Estimate from a record; ``rng`` is the estimator's own stream."""
         raise NotImplementedError
+
+
+def require_finite(y: Array) -> None:
+    """Raise EstimationError if the output holds nan or infinity."""
+    wrong = len(y) - np.count_nonzero(np.isfinite(y))
+    if wrong:
+        raise EstimationError(f"the output has {wrong} of {len(y)} samples that are not finite")

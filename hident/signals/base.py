@@ -18,7 +18,7 @@ class ExcitationSpec(Component):
         """``burn_in`` samples from before the record, then the record's ``n``: shape (burn_in + n,).
 
         Sample ``burn_in`` is at time 0. Periodic signals extend to negative times by periodicity, a
-        staircase by its first level.
+        staircase by its first level. Given the generator, the record does not depend on ``burn_in``.
         """
         raise NotImplementedError
 

@@ -1,12 +1,23 @@
-"""What every system, linear block and nonlinearity spec answers."""
+"""What every system and nonlinearity spec answers; linear blocks have their base in ``linear.py``."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
-from hident.config.spec import Component
+from pydantic import BeforeValidator
+
+from hident.config.spec import Component, Real
 from hident.records import Array, Truth
+
+
+def _as_list(value: Any) -> Any:
+    if not isinstance(value, list | tuple) or not value:
+        raise ValueError("must be a list of at least one number")
+    return value
+
+
+Coefficients = Annotated[tuple[Real, ...], BeforeValidator(_as_list)]
 
 
 class NonlinearitySpec(Component):

@@ -1,0 +1,224 @@
+"""The verbs of the command line, and nothing else; heavy imports stand inside the verbs."""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hident.errors import Exit, HidentError
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    context_settings={"max_content_width": 110},
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="Monte Carlo experiments on identifying Hammerstein, Wiener and Wiener-Hammerstein systems.",
+    epilog="Exit codes: 0 fine, 1 differs, 2 bad configuration or arguments, 3 trials crashed, "
+    "4 nothing to compare, 75 another run holds the store, 130 interrupted.",
+)
+
+Configs = Annotated[list[Path], typer.Argument(help="YAML files, or names of files under configs/.")]
+Config = Annotated[Path, typer.Argument(help="A YAML file, or the name of a file under configs/.")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY.PATH=VALUE", help="Override one key; may be repeated."),
+]
+Trials = Annotated[int | None, typer.Option(help="Override the number of trials.")]
+Seed = Annotated[int | None, typer.Option(help="Override the seed.")]
+Plugins = Annotated[
+    list[Path] | None, typer.Option("--plugin", metavar="FILE.py", help="Load components from a file.")
+]
+StoreFolder = Annotated[Path, typer.Option("--store", help="Folder of the trials store.")]
+Out = Annotated[Path, typer.Option("--out", help="Folder of the outputs.")]
+_STORE, _OUT, _RESULTS = Path(".hident"), Path("out"), Path("results")
+
+
+class Listed(StrEnum):
+    """What ``hident list`` can list."""
+
+    estimators = "estimators"
+    systems = "systems"
+    linears = "linears"
+    nonlinearities = "nonlinearities"
+    excitations = "excitations"
+    noises = "noises"
+    streams = "streams"
+    metrics = "metrics"
+    bases = "bases"
+    tables = "tables"
+    figures = "figures"
+    configs = "configs"
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    try:
+        app()
+    except HidentError as error:
+        _fail(str(error), error.exit_code)
+    except BrokenPipeError:
+        # The reader of a pipe, such as head, has gone.
+        sys.stderr.close()
+        sys.exit(Exit.FINE)
+
+
+def _options(trials: int | None, seed: int | None) -> dict[str, int | None]:
+    return {"trials": trials, "seed": seed}
+
+
+def _fail(message: str, code: Exit) -> None:
+    print(f"error: {message}", file=sys.stderr)
+    sys.exit(code)
+
+
+@app.command("list")
+def list_(
+    what: Annotated[Listed | None, typer.Argument(help="What to list; everything by default.")] = None,
+    kind: Annotated[str | None, typer.Argument(help="One component, to see its fields.")] = None,
+    plugin: Plugins = None,
+) -> None:
+    """List the components that a configuration can use, or the configurations."""
+    from hident import commands
+
+    families = [what.value] if what else [listed.value for listed in Listed]
+    if kind is None:
+        commands.print_listing(families, plugin or ())
+    else:
+        commands.print_component(families[0], kind, plugin or ())
+
+
+@app.command()
+def validate(
+    configs: Configs,
+    assignments: Set = None,
+    trials: Trials = None,
+    seed: Seed = None,
+    plugin: Plugins = None,
+) -> None:
+    """Check configurations without running them; all errors of a file are shown at once."""
+    from hident import commands
+
+    for plan in commands.load_plans(configs, assignments, _options(trials, seed), plugin or ()):
+        print(commands.described(plan))
+
+
+@app.command()
+def run(
+    configs: Configs,
+    assignments: Set = None,
+    trials: Trials = None,
+    seed: Seed = None,
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", "-j", min=1, help="Worker processes; the usable cores by default.")
+    ] = None,
+    out: Out = _OUT,
+    store: StoreFolder = _STORE,
+    keep_going: Annotated[bool, typer.Option("--keep-going", help="Finish the rest after a crash.")] = False,
+    wait: Annotated[
+        float, typer.Option(min=0, help="Seconds to wait while another run holds the store.")
+    ] = 0.0,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress and no tables.")] = False,
+    plugin: Plugins = None,
+) -> None:
+    """Run experiments: compute what is not stored yet, and write tables, figures and verdicts."""
+    from hident import commands
+
+    plans = commands.load_plans(configs, assignments, _options(trials, seed), plugin or ())
+    place = commands.Place(out, store, wait)
+    raise typer.Exit(commands.run_plans(plans, place, jobs, plugin or (), keep_going=keep_going, quiet=quiet))
+
+
+@app.command()
+def status(
+    configs: Annotated[
+        list[Path] | None, typer.Argument(help="YAML files or names; all of configs/ by default.")
+    ] = None,
+    assignments: Set = None,
+    trials: Trials = None,
+    seed: Seed = None,
+    out: Out = _OUT,
+    store: StoreFolder = _STORE,
+    plugin: Plugins = None,
+) -> None:
+    """Show how many trials of each configuration are stored, and whether its outputs are up to date."""
+    from hident import commands
+
+    chosen = configs or commands.all_configs()
+    plans = commands.load_plans(chosen, assignments, _options(trials, seed), plugin or ())
+    commands.print_status(plans, commands.Place(out, store))
+
+
+@app.command()
+def compare(
+    ours: Annotated[Path, typer.Argument(help="A folder of results, such as out.")] = _OUT,
+    reference: Annotated[Path, typer.Argument(help="The folder to hold it against.")] = _RESULTS,
+    rtol: Annotated[float, typer.Option(min=0, help="Relative tolerance of every number.")] = 1e-6,
+    complete: Annotated[
+        bool, typer.Option("--complete", help="A configuration that was not run is a difference too.")
+    ] = False,
+) -> None:
+    """Compare results cell by cell; a missing or extra file, row, column or trial is a difference."""
+    from hident import commands
+
+    raise typer.Exit(commands.print_comparison(ours, reference, rtol, complete=complete))
+
+
+@app.command()
+def accept(
+    configs: Annotated[list[str], typer.Argument(help="Names of configurations whose results to accept.")],
+    out: Out = _OUT,
+    results: Annotated[Path, typer.Option(help="Folder of the accepted results.")] = _RESULTS,
+) -> None:
+    """Make the outputs of configurations the accepted results; nothing else changes results/."""
+    from hident.ledger.accept import accept
+
+    for config in configs:
+        print(accept(out / Path(config).stem, results))
+
+
+@app.command()
+def verify(
+    folder: Annotated[
+        Path | None, typer.Argument(help="A folder of results; out by default, results if there is none.")
+    ] = None,
+    experiments: Annotated[Path, typer.Option(help="Folder of the papers' ledgers.")] = Path("experiments"),
+    complete: Annotated[
+        bool, typer.Option("--complete", help="Every printed number of a paper must be judged.")
+    ] = False,
+) -> None:
+    """Check that every number that differs from a printed one has its reason."""
+    from hident import commands
+
+    if folder is None:
+        folder = _OUT if _OUT.is_dir() else _RESULTS
+    raise typer.Exit(commands.print_verification(folder, experiments, complete=complete))
+
+
+@app.command()
+def schema(plugin: Plugins = None) -> None:
+    """Print the JSON Schema of configurations, for editors."""
+    from hident import commands
+
+    print(commands.schema(plugin or ()))
+
+
+@app.command()
+def export(
+    config: Config,
+    file: Annotated[Path, typer.Argument(help="Where to: FILE.csv or FILE.parquet.")],
+    assignments: Set = None,
+    trials: Trials = None,
+    seed: Seed = None,
+    store: StoreFolder = _STORE,
+    plugin: Plugins = None,
+) -> None:
+    """Write the stored trials of a configuration, one row for each trial and metric."""
+    from hident import commands
+
+    plan = commands.load_plans([config], assignments, _options(trials, seed), plugin or ())[0]
+    print(commands.export(plan, store, file))

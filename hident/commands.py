@@ -1,0 +1,311 @@
+"""What the verbs do; :mod:`hident.cli` only reads their arguments."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+import textwrap
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hident import plugins
+from hident.config.spec import PLURALS, components, json_schema
+from hident.config.suggest import did_you_mean, one_of
+from hident.engine.experiment import Experiment, Plan, load
+from hident.engine.runner import CrashReport, stored, unit_key
+from hident.engine.store import Store
+from hident.errors import ConfigError, Exit, StoreError
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where outputs and trials are kept, and how many seconds to wait for another run."""
+
+    out: Path
+    store: Path
+    wait: float = 0.0
+
+
+def all_configs() -> list[Path]:
+    """The files under configs/."""
+    found = sorted(Path("configs").glob("*.yaml"))
+    if not found:
+        raise ConfigError("there is no configuration under configs/ here; name the files")
+    return found
+
+
+def load_plans(
+    configs: Iterable[Path],
+    assignments: Iterable[str] | None,
+    options: Mapping[str, int | None],
+    plugin_files: Iterable[Path],
+) -> list[Plan]:
+    """All plans, or one error that holds what is wrong with all files."""
+    plugins.load(plugin_files)
+    plans: list[Plan] = []
+    errors: list[str] = []
+    for config in configs:
+        named = Path("configs") / f"{config}.yaml"
+        bare = not config.suffix and not config.exists() and named.exists()
+        try:
+            plans.append(load(named if bare else config, assignments or (), options))
+        except ConfigError as error:
+            errors.append(str(error))
+    if errors:
+        raise ConfigError("\n".join(errors))
+    names = [plan.name for plan in plans]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ConfigError(f"two files are named {one_of(twice)}, and the name is that of the output folder")
+    return plans
+
+
+def described(plan: Plan) -> str:
+    """One line on a sound configuration."""
+    cases, units = len({unit.data.key for unit in plan.units}), len(plan.units)
+    return (
+        f"{plan.path}: fine: {cases} case{'s' * (cases != 1)}, {units} estimate{'s' * (units != 1)} "
+        f"of {plan.experiment.trials} trial{'s' * (plan.experiment.trials != 1)}"
+    )
+
+
+def run_plans(
+    plans: Sequence[Plan],
+    place: Place,
+    jobs: int | None,
+    plugin_files: Iterable[Path],
+    *,
+    keep_going: bool,
+    quiet: bool,
+) -> Exit:
+    """Run plans one after the other on one set of workers; a crash in one does not stop the next."""
+    from hident.engine.executors import make_executor, usable_cores
+
+    workers = jobs or usable_cores()
+    executor = make_executor(workers, plugin_files)
+    code = Exit.FINE
+    try:
+        for plan in plans:
+            try:
+                _run_plan(plan, place, executor, workers, keep_going=keep_going, quiet=quiet)
+            except CrashReport as crash:
+                where = _keep_tracebacks(crash, place.out / plan.name)
+                print(f"error: {plan.name}: {crash}{where}", file=sys.stderr)
+                code = crash.exit_code
+                if not keep_going:
+                    break
+    except KeyboardInterrupt:
+        print(
+            f"\ninterrupted: all finished trials are kept in {place.store}; the same command resumes",
+            file=sys.stderr,
+        )
+        return Exit.INTERRUPTED
+    finally:
+        executor.shutdown(wait=False, cancel_futures=True)
+    return code
+
+
+def _run_plan(
+    plan: Plan, place: Place, executor: Executor, workers: int, *, keep_going: bool, quiet: bool
+) -> None:
+    from hident.engine.runner import run
+    from hident.progress import chosen
+    from hident.reports.output import output_key, up_to_date, write
+
+    start = time.perf_counter()
+    trials, seed, folder = plan.experiment.trials, plan.experiment.seed, place.out / plan.name
+    if up_to_date(folder, output_key(plan, seed, trials)):
+        note = f"{plan.name}: {folder} is up to date"
+    else:
+        results = run(
+            plan,
+            Store(place.store),
+            executor,
+            workers,
+            trials=trials,
+            seed=seed,
+            keep_going=keep_going,
+            wait_for_store=place.wait,
+            progress=chosen(plan.name, quiet=quiet),
+        )
+        wall = round(time.perf_counter() - start, 3)
+        write(results, folder, {"workers": workers, "wall_seconds": wall})
+        note = f"{plan.name}: wrote {folder}"
+    if not quiet:
+        print((folder / "table.md").read_text(encoding="utf-8"))
+        print(note, file=sys.stderr)
+
+
+def _keep_tracebacks(crash: CrashReport, folder: Path) -> str:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "crashes.txt").write_text(crash.tracebacks, encoding="utf-8")
+    except OSError:
+        return ""
+    return f"\nTracebacks: {folder / 'crashes.txt'}"
+
+
+def print_listing(families: Sequence[str], plugin_files: Iterable[Path]) -> None:
+    """One line for each component of the families; a heading for each where there are several."""
+    plugins.load(plugin_files)
+    several = len(families) > 1
+    for family in families:
+        lines = list(_config_titles()) if family == "configs" else _summaries(family)
+        if several:
+            print(f"{family}:")
+        width = max((len(name) for name, _ in lines), default=0)
+        for name, text in lines:
+            print(f"{'  ' * several}{name:<{width}}  {text}")
+
+
+def _summaries(family: str) -> list[tuple[str, str]]:
+    return [(kind, cls.summary()) for kind, cls in components(PLURALS[family]).items()]
+
+
+def _config_titles() -> Iterator[tuple[str, str]]:
+    from hident.config.load import read
+
+    for path in sorted(Path("configs").glob("*.yaml")):
+        try:
+            yield path.stem, str(read(path).data.get("title", ""))
+        except ConfigError as error:
+            yield path.stem, f"({error})"
+
+
+def print_component(family: str, kind: str, plugin_files: Iterable[Path]) -> None:
+    """A component's description, source and fields."""
+    from hident.config.describe import fields
+
+    plugins.load(plugin_files)
+    if family == "configs":
+        raise ConfigError("a configuration has no fields to list; see hident validate")
+    known = components(PLURALS[family])
+    if kind not in known:
+        near = did_you_mean(kind, known)
+        raise ConfigError(f"no {PLURALS[family]} is named '{kind}'{near} (there are: {one_of(known)})")
+    cls = known[kind]
+    print(f"{kind}: {cls.summary()}")
+    if cls.source:
+        print(f"source: {cls.source}")
+    rows = list(fields(cls))
+    if rows:
+        print()
+        _print_columns([("key", "holds", "default", "meaning"), *rows])
+
+
+def _print_columns(rows: Sequence[tuple[str, ...]]) -> None:
+    """Columns, the last one wrapped to the width of the terminal."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]) - 1)]
+    indent = sum(widths) + 2 * len(widths)
+    room = max(30, shutil.get_terminal_size((120, 24)).columns - indent)
+    for row in rows:
+        head = "".join(f"{cell:<{width}}  " for cell, width in zip(row, widths, strict=False))
+        first, *rest = textwrap.wrap(row[-1], room) or [""]
+        print(f"{head}{first}".rstrip())
+        for line in rest:
+            print(" " * indent + line)
+
+
+def print_status(plans: Sequence[Plan], place: Place) -> None:
+    """For each plan: how many of its trials are stored, and the state of its outputs."""
+    from hident.reports.output import output_key, up_to_date
+
+    store = Store(place.store)
+    rows = [("configuration", "trials stored", "of", "outputs")]
+    for plan in plans:
+        trials, seed, folder = plan.experiment.trials, plan.experiment.seed, place.out / plan.name
+        done = sum(stored(plan, store, trials, seed))
+        fresh = up_to_date(folder, output_key(plan, seed, trials))
+        state = "up to date" if fresh else "old or altered" if folder.is_dir() else "none"
+        rows.append((plan.name, str(done), str(trials * len(plan.units)), state))
+    _print_columns(rows)
+    print(f"{store.path}: {store.count()} trials in all")
+
+
+def print_comparison(ours: Path, reference: Path, rtol: float, *, complete: bool) -> Exit:
+    """Print every difference between two folders of results."""
+    from hident.ledger.compare import compare
+
+    comparison = compare(ours, reference, rtol=rtol, complete=complete)
+    for difference in comparison.differences:
+        print(difference)
+    if comparison.absent:
+        print(f"not run here: {one_of(comparison.absent)}")
+    count = len(comparison.differences)
+    folders = f"{comparison.compared} configuration{'s' * (comparison.compared != 1)}"
+    print(f"{ours} against {reference}: {folders}, {count or 'no'} difference{'s' * (count != 1)}")
+    return Exit.DIFFERS if count else Exit.FINE
+
+
+def print_verification(folder: Path, experiments: Path, *, complete: bool) -> Exit:
+    """Print the state of the ledger."""
+    from hident.ledger.verify import verify
+
+    found = verify(folder, experiments)
+    rows: list[tuple[str, ...]] = [("configuration", "printed", "exact", "agrees", "differs")]
+    for config, words in found.counts.items():
+        numbers = [words.get(word, 0) for word in ("exact", "agrees", "differs")]
+        rows.append((config, *map(str, [sum(numbers), *numbers])))
+    _print_columns(rows)
+    for title, lines in (
+        ("differs without a reason", found.unexplained),
+        ("printed, but not judged here", found.unjudged),
+        ("reasons that cover no difference", found.idle),
+    ):
+        for line in lines:
+            print(f"{title}: {line}")
+    print(f"{folder}: {'every difference has its reason' if not found.unexplained else 'reasons are owed'}")
+    return Exit.DIFFERS if found.unexplained or (complete and found.unjudged) else Exit.FINE
+
+
+def schema(plugin_files: Iterable[Path]) -> str:
+    """The JSON Schema of configurations."""
+    plugins.load(plugin_files)
+    return json.dumps(json_schema(Experiment), indent=2, ensure_ascii=False)
+
+
+def export(plan: Plan, folder: Path, file: Path) -> str:
+    """Write the stored trials of a plan to CSV or Parquet; returns a line that says so."""
+    import pandas as pd
+
+    if file.suffix not in (".csv", ".parquet"):
+        raise ConfigError(f"{file}: the name must end in .csv or .parquet")
+    trials, seed = plan.experiment.trials, plan.experiment.seed
+    keys = [unit_key(unit, seed) for unit in plan.units]
+    found = Store(folder).read(keys, trials)
+    rows: list[dict[str, Any]] = [
+        {
+            **unit.labels,
+            "estimator": unit.name,
+            "trial": trial.trial,
+            "metric": label,
+            "value": value,
+            "failure": trial.failure,
+        }
+        for unit, key in zip(plan.units, keys, strict=True)
+        for trial in found[key]
+        for label, value in zip(unit.metric_labels, trial.values, strict=True)
+    ]
+    axes = [axis.name for axis in plan.axes]
+    data = pd.DataFrame(rows, columns=[*axes, "estimator", "trial", "metric", "value", "failure"])
+    temporary = file.with_name(f".{file.name}.part")
+    try:
+        if file.suffix == ".csv":
+            data.to_csv(temporary, index=False)
+        else:
+            # An axis may hold numbers and names, which a column of Parquet cannot.
+            data.astype(dict.fromkeys(axes, str)).to_parquet(temporary, index=False)
+        temporary.replace(file)
+    except ImportError:
+        raise ConfigError("writing Parquet needs pyarrow: pip install 'hident[parquet]'") from None
+    except OSError as error:
+        raise StoreError(f"{file} cannot be written: {(error.strerror or str(error)).lower()}") from None
+    wanted = trials * len(plan.units)
+    done = sum(len(found[key]) for key in keys)
+    missing = "" if done == wanted else f"; {wanted - done} trials are not computed yet (hident run)"
+    return f"{file}: {len(data)} rows of {done} trials{missing}"

@@ -1,0 +1,103 @@
+"""Hashes that say whether a stored trial is still the one that would be computed now."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from hident.config.spec import Spec
+from hident.engine.trial import digest
+
+_LIBRARIES = ("numpy", "scipy", "finufft")
+_TRIAL = "hident.engine.trial"
+# These read configurations and word messages: no number depends on them once the specs are made.
+_WORDS = {"hident.config.spec", "hident.config.load", "hident.config.suggest", "hident.errors"}
+
+
+def libraries() -> dict[str, str]:
+    """The versions of the libraries whose arithmetic the results depend on."""
+    return {name: version(name) for name in _LIBRARIES}
+
+
+def fingerprint(specs: Iterable[Spec]) -> str:
+    """Hash of the code that a trial of these specs runs through, docstrings and comments left out.
+
+    It covers the modules of the specs and of all specs inside them, the trial itself, and every module of
+    the package that these import; so a changed algorithm reruns what used it, and nothing else.
+    """
+    return code({_TRIAL, *(type(inner).__module__ for spec in specs for inner in _within(spec))})
+
+
+def code(modules: Iterable[str]) -> str:
+    """Hash of the code of loaded modules and of all modules of this package that they import."""
+    return _of_modules(frozenset(modules))
+
+
+@cache
+def _of_modules(modules: frozenset[str]) -> str:
+    known: dict[str, str] = {}
+    waiting = sorted(modules)
+    while waiting:
+        module = waiting.pop()
+        if module not in known:
+            known[module], imports = _of_module(module)
+            waiting += imports
+    return digest(known)
+
+
+@cache
+def _of_module(module: str) -> tuple[str, tuple[str, ...]]:
+    """The hash of one module's code, and the modules of this package that it imports."""
+    path = _path(module)
+    if path is None:
+        return "", ()
+    tree = ast.parse(path.read_bytes())
+    imports = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            imports |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            imports |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        _strip_docstring(node)
+    inside = {name for name in imports if name.startswith("hident.") and _path(name) is not None} - _WORDS
+    return digest(ast.dump(tree)), tuple(sorted(inside))
+
+
+def _strip_docstring(node: ast.AST) -> None:
+    body = getattr(node, "body", None)
+    if isinstance(body, list):
+        # A bare string states a meaning and computes nothing: docstrings, and those under fields.
+        node.body = [  # type: ignore[attr-defined]
+            statement
+            for statement in body
+            if not (
+                isinstance(statement, ast.Expr)
+                and isinstance(statement.value, ast.Constant)
+                and isinstance(statement.value.value, str)
+            )
+        ]
+
+
+def _path(module: str) -> Path | None:
+    """The file of a module; a package's own file holds no code."""
+    loaded = sys.modules.get(module)
+    file = getattr(loaded, "__file__", None)
+    if file is None or Path(file).name == "__init__.py":
+        return None
+    return Path(file)
+
+
+def _within(value: Any) -> Iterator[Spec]:
+    if isinstance(value, Spec):
+        yield value
+        value = [getattr(value, name) for name in type(value).model_fields]
+    if isinstance(value, Mapping):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        for item in value:
+            yield from _within(item)

@@ -1,0 +1,95 @@
+"""Finished trials, and their statistics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hident.engine.experiment import Label, Plan, Unit
+from hident.records import Array
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+QUANTILES = {"q05": 0.05, "q25": 0.25, "q75": 0.75, "q95": 0.95}
+STATISTICS = ("trials", "failed", "mean", "std", "se", "median", *QUANTILES)
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One metric of one unit over all trials; nan where the trial failed."""
+
+    unit: Unit
+    metric: str
+    values: Array
+
+    @cached_property
+    def valid(self) -> Array:
+        """The values of the trials that did not fail."""
+        return self.values[np.isfinite(self.values)]
+
+    @cached_property
+    def statistics(self) -> dict[str, float]:
+        """The statistics of table.csv; std is the sample one, se that of the mean."""
+        valid = self.valid
+        counts = {"trials": len(self.values), "failed": len(self.values) - len(valid)}
+        if not len(valid):
+            return {**counts, **dict.fromkeys(STATISTICS[2:], float("nan"))}
+        std = float(np.std(valid, ddof=1)) if len(valid) > 1 else float("nan")
+        return {
+            **counts,
+            "mean": float(np.mean(valid)),
+            "std": std,
+            "se": std / len(valid) ** 0.5,
+            "median": float(np.median(valid)),
+            **{name: float(np.quantile(valid, q)) for name, q in QUANTILES.items()},
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """All trials of a plan: complete, or it would not exist."""
+
+    plan: Plan
+    seed: int
+    trials: int
+    series: tuple[Series, ...]
+
+    def select(
+        self,
+        estimator: str | None = None,
+        metric: str | None = None,
+        labels: Mapping[str, Label] = MappingProxyType({}),
+    ) -> Iterator[Series]:
+        """The series of an estimator and a metric at the given labels of axes."""
+        wanted = {axis: str(label) for axis, label in labels.items()}
+        for series in self.series:
+            if estimator in (None, series.unit.name) and metric in (None, series.metric):
+                have = series.unit.labels
+                if all(str(have.get(axis, label)) == label for axis, label in wanted.items()):
+                    yield series
+
+    def labels(self, axis: str) -> tuple[Label, ...]:
+        """The labels of an axis in their written order."""
+        return next((a.labels for a in self.plan.axes if a.name == axis), ())
+
+    def frame(self) -> pd.DataFrame:
+        """The tidy table: the case's columns, estimator, metric and the statistics."""
+        import pandas as pd
+
+        axes = [axis.name for axis in self.plan.axes]
+        rows: list[Mapping[str, object]] = [
+            {
+                **{axis: series.unit.labels.get(axis, "") for axis in axes},
+                "estimator": series.unit.name,
+                "metric": series.metric,
+                **series.statistics,
+            }
+            for series in self.series
+        ]
+        return pd.DataFrame(rows, columns=[*axes, "estimator", "metric", *STATISTICS])

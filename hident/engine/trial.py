@@ -1,0 +1,143 @@
+"""One Monte Carlo trial: the only place where data meet an estimator."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import traceback
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from hident.config.spec import Count, Of, Real, Spec, canonical
+from hident.errors import EstimationError
+from hident.estimators.base import EstimatorSpec
+from hident.metrics.base import MetricSpec
+from hident.records import Array, Estimate, Record
+from hident.signals.base import ExcitationSpec, NoiseSpec
+from hident.signals.streams import NumpyStreams, StreamsSpec
+from hident.systems.base import SystemSpec
+
+
+def digest(value: Any) -> str:
+    """SHA-256 of plain data, 32 hexadecimal digits; keys are sorted, floats kept to the last bit."""
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+class Data(Spec):
+    """The data-generating part of a case."""
+
+    samples: Annotated[Count, Field(ge=1)]
+    """Length N of the record."""
+    dt: Annotated[Real, Field(gt=0)] | None = None
+    """Sampling interval; leave out in discrete time, where times count samples."""
+    system: Annotated[SystemSpec, Of("system")]
+    """The true system."""
+    excitation: Annotated[ExcitationSpec, Of("excitation")]
+    """The input signal."""
+    noise: tuple[Annotated[NoiseSpec, Of("noise")], ...] = ()
+    """What happens to the output on its way to the record, in this order."""
+    streams: Annotated[StreamsSpec, Of("streams")] = NumpyStreams()
+    """Where the random numbers come from."""
+
+    @field_validator("noise", mode="before")
+    @classmethod
+    def _listed(cls, value: Any) -> Any:
+        return [value] if isinstance(value, str | Mapping | NoiseSpec) else value
+
+    @cached_property
+    def key(self) -> int:
+        """Hash of everything that the data depend on besides the seed and the trial."""
+        return int(digest(canonical(self)), 16)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One estimator and its metrics, as a trial needs them."""
+
+    estimator: EstimatorSpec
+    metrics: tuple[MetricSpec, ...]
+
+    @cached_property
+    def key(self) -> int:
+        """Hash that the estimator's own random stream depends on."""
+        return int(digest(canonical(self.estimator)), 16)
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What one job gave in one trial.
+
+    ``values`` holds a number for each label of each metric, nan throughout if the estimate failed; then
+    ``failure`` says why. ``crash`` is the traceback of an error that is not a result.
+    """
+
+    job: int
+    trial: int
+    values: Array
+    failure: str = ""
+    crash: str = ""
+
+
+def generate(data: Data, seed: int, trial: int) -> Record:
+    """The record of one trial."""
+
+    def stream(role: Any) -> np.random.Generator:
+        return data.streams.generator(role, seed, data.key, trial)
+
+    dt = 1.0 if data.dt is None else data.dt
+    burn_in = data.system.burn_in()
+    u = data.excitation.sample(data.samples, dt, stream("input"), burn_in)
+    y = data.system.simulate(u).output[burn_in:]
+    noise = stream("noise")
+    for spec in data.noise:
+        y = spec.measure(y, noise)
+    return Record(u[burn_in:], y, data.dt, data.system.truth())
+
+
+def estimate(data: Data, job: Job, record: Record, seed: int, trial: int) -> Estimate:
+    """The estimate of one job from a trial's record."""
+    return job.estimator.fit(record, data.streams.generator("estimator", seed, job.key, trial))
+
+
+def run_trials(
+    data: Data, jobs: Sequence[Job], wanted: Mapping[int, Sequence[int]], seed: int
+) -> list[Outcome]:
+    """Run the jobs that each trial wants: ``wanted`` maps trials to indices of jobs.
+
+    A crash does not end the others, so that what was computed can be kept.
+    """
+    with np.errstate(all="ignore"):
+        return [
+            outcome
+            for trial, indices in wanted.items()
+            for outcome in _run_trial(data, jobs, indices, seed, trial)
+        ]
+
+
+def _run_trial(
+    data: Data, jobs: Sequence[Job], indices: Sequence[int], seed: int, trial: int
+) -> Iterator[Outcome]:
+    nothing = np.empty(0)
+    try:
+        record = generate(data, seed, trial)
+    except Exception:
+        crash = traceback.format_exc()
+        yield from (Outcome(index, trial, nothing, crash=crash) for index in indices)
+        return
+    for index in indices:
+        job = jobs[index]
+        try:
+            found = estimate(data, job, record, seed, trial)
+            values = [value for metric in job.metrics for value in metric.evaluate(found, record)]
+            yield Outcome(index, trial, np.array(values, dtype=float))
+        except (EstimationError, np.linalg.LinAlgError) as error:
+            count = sum(len(metric.labels("")) for metric in job.metrics)
+            yield Outcome(index, trial, np.full(count, np.nan), failure=str(error) or "singular")
+        except Exception:
+            yield Outcome(index, trial, nothing, crash=traceback.format_exc())

@@ -1,0 +1,100 @@
+"""The autoregressive block of a Hammerstein system by ordinary least squares.
+
+The reference that the instrumental variables of Mzyk 2009 are to be compared with.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from hident.config.spec import Count, component
+from hident.errors import EstimationError
+from hident.estimators.base import EstimatorSpec, require_finite
+from hident.records import Array, Estimate, Record
+from hident.systems.linear import TransferFunction
+
+ILL_CONDITIONED = 1e12
+"""Condition number, of columns scaled to length one, from which an estimate counts as singular."""
+
+
+def lagged(x: Array, lags: range, start: int) -> Array:
+    """The rows x_{k-lag} for each lag, then a row of ones, at k = start, ..., N-1.
+
+    ``x`` has shape (N,), the result (len(lags) + 1, N - start).
+    """
+    n = len(x) - start
+    rows = np.ones((len(lags) + 1, n))
+    for row, lag in zip(rows, lags, strict=False):
+        row[:] = x[start - lag : start - lag + n]
+    return rows
+
+
+def dynamics(a: Array, b: Array, c: float, condition: float) -> Estimate:
+    """The estimate of a block with numerator ``b`` (b_0 = 1, b_1, ...) and feedback ``a`` (a_1, ..., a_p)."""
+    linear = TransferFunction(b=tuple(b.tolist()), a=tuple(a.tolist()))
+    values = {name: value for name, value in linear.values().items() if name != "b_0"}
+    return Estimate(linear=linear, values={**values, "c": c}, diagnostics={"condition": condition})
+
+
+def least_squares(y: Array, p: int) -> Estimate:
+    """Fit y_k = a_1 y_{k-1} + ... + a_p y_{k-p} + c by least squares.
+
+    Parameters
+    ----------
+    y : array, shape (N,)
+        The output; the N - p equations k = p, ..., N-1 are used.
+    p : int
+        Order of the autoregression, at least 1.
+
+    Returns
+    -------
+    Estimate
+        The linear block with b = (1,), the values ``a_1``, ..., ``a_p`` and ``c``, and the diagnostic
+        ``condition``: the condition number of the regressors scaled to length one.
+
+    Raises
+    ------
+    EstimationError
+        If the past outputs are linearly dependent.
+
+    Notes
+    -----
+    Biased, and not consistent, when the output is measured with noise: the noise of the past outputs is
+    correlated with d_k in Mzyk 2009, eq. (10). The bias is small when the noise is.
+    """
+    require_finite(y)
+    # Mzyk 2009, eq. (9), (11)
+    phi = lagged(y, range(1, p + 1), p)
+    scale = np.linalg.norm(phi, axis=1)
+    scale[scale == 0.0] = 1.0
+    phi /= scale[:, None]
+    theta, _, _, singular_values = np.linalg.lstsq(phi.T, y[p:], rcond=None)
+    if singular_values[-1] * ILL_CONDITIONED <= singular_values[0]:
+        raise EstimationError(
+            "the past outputs are linearly dependent: the output hardly varies, the record is too short, "
+            f"or the order {p} is too high"
+        )
+    theta = theta / scale
+    return dynamics(theta[:p], np.ones(1), float(theta[p]), float(singular_values[0] / singular_values[-1]))
+
+
+@component("estimator", "least_squares")
+class LeastSquares(EstimatorSpec):
+    """Autoregressive block by least squares; consistent only without output noise, good when it is small."""
+
+    identifies_dynamics: ClassVar[bool] = True
+
+    order: Annotated[Count, Field(ge=1)]
+    """Order p of the autoregression."""
+
+    def provides(self) -> frozenset[str]:
+        return frozenset({"linear", "value c", *(f"value a_{i + 1}" for i in range(self.order))})
+
+    def fewest_samples(self) -> int:
+        return 2 * self.order + 1
+
+    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        return least_squares(record.y, self.order)

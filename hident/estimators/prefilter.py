@@ -1,0 +1,171 @@
+"""Mzyk 2009's prefilter, and what the two nonparametric estimators share because of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import GetJsonSchemaHandler
+from pydantic_core import CoreSchema, PydanticCustomError
+
+from hident.config.spec import Component, Of, Real, Spec, components
+from hident.config.suggest import one_of
+from hident.errors import EstimationError
+from hident.estimators.base import EstimatorSpec
+from hident.records import Array, Characteristic, Estimate, Record
+from hident.systems.linear import TransferFunction
+
+
+def prefilter(y: Array, linear: TransferFunction) -> Array:
+    """The output with the linear block undone: y^f = (A/B) y, an estimate of w.
+
+    Parameters
+    ----------
+    y : array, shape (N,)
+        The output of the linear block B/A.
+    linear : TransferFunction
+        The block, with p coefficients a_1, ..., a_p.
+
+    Returns
+    -------
+    array, shape (N - p,)
+        y^f_k for k = p, ..., N-1.
+
+    Raises
+    ------
+    EstimationError
+        If the block has no stable causal inverse: b_0 = 0, or a zero on or outside the unit circle.
+
+    Notes
+    -----
+    Mzyk 2009, eq. (14), extended by 1/B for remark 3's invertible ARMA block; 1/B starts from the mean of
+    what it filters, so that a constant passes as a constant.
+
+    Differs from the paper: eq. (14) is summed from k = 1 and so takes the p outputs before the record as
+    measured. A record has none, so its first p filtered samples are dropped and N - p remain.
+    """
+    if linear.b[0] == 0.0:
+        raise EstimationError("the linear block has b_0 = 0: it delays its input and has no causal inverse")
+    zeros = linear.zeros()
+    if np.any(np.abs(zeros) >= 1.0):
+        found = ", ".join(f"{z.real:.4g}" if z.imag == 0.0 else f"{z:.4g}" for z in zeros)
+        raise EstimationError(
+            f"the linear block has no stable inverse: its zeros {found} do not all lie inside the unit circle"
+        )
+    p = len(linear.a)
+    # Eq. (14)
+    filtered = y[p:].copy()
+    for lag, a in enumerate(linear.a, start=1):
+        filtered -= a * y[p - lag : len(y) - lag]
+    if len(linear.b) == 1:
+        return filtered / linear.b[0]
+    inverse = TransferFunction(b=(1.0 / linear.b[0],), a=linear.inverse().a)
+    steady = filtered.mean() / sum(linear.b)
+    return inverse.filter(filtered, np.full(len(inverse.a), steady))
+
+
+@dataclass(frozen=True, eq=False)
+class FilteredRecord(Record):
+    """The last samples of ``whole`` with a filtered output; their order follows from that of ``whole``."""
+
+    whole: Record | None = None
+
+    @cached_property
+    def order(self) -> NDArray[np.intp]:
+        """The stable order that sorts u."""
+        assert self.whole is not None
+        dropped = len(self.whole) - len(self)
+        order = self.whole.order
+        return order[order >= dropped] - dropped
+
+
+class KnownPoint(Spec):
+    """A point at which the characteristic is known."""
+
+    u: Real
+    """The input."""
+    value: Real
+    """The characteristic there."""
+
+
+@dataclass(frozen=True)
+class Anchored:
+    """A characteristic plus a constant."""
+
+    regression: Characteristic
+    constant: float
+
+    def __call__(self, u: Array) -> Array:
+        return self.regression(u) + self.constant
+
+
+class _OfDynamics(Of):
+    """Pydantic annotation: an estimator that provides a linear block."""
+
+    def validate(self, value: Any) -> Component:
+        spec = super().validate(value)
+        assert isinstance(spec, EstimatorSpec)
+        if "linear" not in spec.provides():
+            allowed = one_of(_identifying_dynamics())
+            raise PydanticCustomError(
+                "config", f"'{spec.kind}' does not estimate a linear block (allowed: {allowed})"
+            )
+        return spec
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        # Not the options of all estimators: those that hold a prefilter would contain themselves.
+        kinds = {"enum": _identifying_dynamics()}
+        return {"anyOf": [{"type": "object", "properties": {"kind": kinds}, "required": ["kind"]}, kinds]}
+
+
+def _identifying_dynamics() -> list[str]:
+    return [
+        kind
+        for kind, cls in components("estimator").items()
+        if issubclass(cls, EstimatorSpec) and cls.identifies_dynamics
+    ]
+
+
+class NonparametricSpec(EstimatorSpec):
+    """Base of the estimators of a characteristic by regression, on the output or the filtered output.
+
+    With a prefilter the estimate also holds what the prefilter estimated. Its first p samples are dropped
+    (see :func:`prefilter`), so N - p pairs (u_k, y^f_k) remain.
+    """
+
+    prefilter: Annotated[EstimatorSpec, _OfDynamics("estimator")] | None = None
+    """Estimator of the linear block, to be undone first (drops p samples); none: the plain output is used."""
+    known_point: KnownPoint | None = None
+    """A point where the characteristic is known: a constant is added so that the estimate agrees there."""
+
+    def regression(self, samples: Record) -> Characteristic:
+        """The estimated regression of the output on the input."""
+        raise NotImplementedError
+
+    def provides(self) -> frozenset[str]:
+        dynamics = self.prefilter.provides() if self.prefilter else frozenset()
+        return dynamics | {"nonlinearity"}
+
+    def fewest_samples(self) -> int:
+        return self.prefilter.fewest_samples() if self.prefilter else 1
+
+    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        dynamics = self.prefilter.fit(record, rng) if self.prefilter else Estimate()
+        if dynamics.linear is not None:
+            filtered = prefilter(record.y, dynamics.linear)
+            record = FilteredRecord(record.u[len(record) - len(filtered) :], filtered, whole=record)
+        return replace(dynamics, nonlinearity=self._anchored(self.regression(record)))
+
+    def _anchored(self, regression: Characteristic) -> Characteristic:
+        if self.known_point is None:
+            return regression
+        there = float(regression(np.array([self.known_point.u]))[0])
+        if not math.isfinite(there):
+            raise EstimationError(f"the regression at the known point u = {self.known_point.u:g} is {there}")
+        return Anchored(regression, self.known_point.value - there)

@@ -1,0 +1,140 @@
+"""Verdicts: how our numbers stand to the printed ones.
+
+``exact``: ours rounds to the printed digits. ``agrees``: the printed number lies in the interval that the
+trials give, widened by its rounding. ``differs``: else, and then a reason is owed. The interval is
+
+- the central 95 % of single trials where the paper ran one realisation or does not say how many it averaged;
+- the statistic +- 3 standard errors where it averaged: its own Monte Carlo error counts too, from the number
+  of its runs, except where it printed a formula's value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from hident.engine.experiment import Published, PublishedCells
+from hident.engine.results import Results, Series
+from hident.errors import ConfigError
+from hident.ledger.published import Printed, read_published, read_reasons
+from hident.records import Array
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Word = Literal["exact", "agrees", "differs"]
+COLUMNS = ("table", "row", "quantity", "printed", "ours", "low", "high", "verdict", "reason", "interval")
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """One printed number beside ours."""
+
+    printed: Printed
+    cell: PublishedCells
+    series: Series
+    ours: float
+    low: float
+    high: float
+    word: Word
+    reason: str
+    interval: str
+
+    def row(self) -> tuple[object, ...]:
+        """The row of verdicts.csv."""
+        p = self.printed
+        head = (p.table, p.row, p.quantity, p.printed)
+        return (*head, self.ours, self.low, self.high, self.word, self.reason, self.interval)
+
+
+def judge(results: Results) -> tuple[Verdict, ...]:
+    """The verdicts on all printed numbers that the configuration names.
+
+    Raises
+    ------
+    ConfigError
+        If a cell that the configuration names is not among the printed numbers.
+    """
+    published, paper = results.plan.experiment.published, results.plan.paper
+    if published is None:
+        return ()
+    if paper is None:
+        raise ConfigError(f"{results.plan.path}: published: needs 'paper:', the folder under experiments/")
+    numbers, reasons = read_published(paper), read_reasons(paper)
+    verdicts = []
+    for cell in published.cells:
+        for series in results.select(cell.estimator, cell.metric):
+            labels = series.unit.labels
+            key = (cell.table, cell.row.format_map(labels), cell.quantity.format_map(labels))
+            if key not in numbers:
+                raise ConfigError(
+                    f"{paper / 'published.csv'} has no number for {' / '.join(key)}, which "
+                    f"{results.plan.path} names under published"
+                )
+            ours, low, high, interval = _interval(series.valid, cell.statistic, published)
+            word = _word(numbers[key], ours, low, high)
+            why = next((r.reason for r in reasons if r.covers(results.plan.name, key)), "")
+            reason = why if word == "differs" else ""
+            verdicts.append(Verdict(numbers[key], cell, series, ours, low, high, word, reason, interval))
+    return tuple(verdicts)
+
+
+def frame(verdicts: Sequence[Verdict]) -> pd.DataFrame:
+    """The table verdicts.csv."""
+    import pandas as pd
+
+    return pd.DataFrame([verdict.row() for verdict in verdicts], columns=list(COLUMNS))
+
+
+def _word(printed: Printed, ours: float, low: float, high: float) -> Word:
+    # The slack is for a number that stands exactly on a rounding boundary.
+    slack = printed.half_unit * (1 + 1e-9)
+    if abs(ours - printed.value) <= slack:
+        return "exact"
+    return "agrees" if low - slack <= printed.value <= high + slack else "differs"
+
+
+def _interval(valid: Array, statistic: str, published: Published) -> tuple[float, float, float, str]:
+    if not len(valid):
+        nan = float("nan")
+        return nan, nan, nan, "no trial succeeded"
+    ours = _statistic(valid, statistic)
+    runs = published.paper_trials
+    if runs in ("unknown", 1):
+        low, high = np.quantile(valid, [0.025, 0.975])
+        why = "the paper ran one" if runs == 1 else "the paper does not say how many runs it averages"
+        return ours, float(low), float(high), f"central 95 % of single trials: {why}"
+    spread = 1.0 / len(valid) + (0.0 if runs == "exact" else 1.0 / float(runs))
+    reach = 3.0 * _unit_error(valid, statistic) * spread**0.5
+    theirs = "a formula" if runs == "exact" else f"{runs} runs"
+    return ours, ours - reach, ours + reach, f"{statistic} +- 3 standard errors; the paper: {theirs}"
+
+
+def _statistic(valid: Array, statistic: str) -> float:
+    match statistic:
+        case "median":
+            return float(np.median(valid))
+        case "std":
+            return float(np.std(valid, ddof=1)) if len(valid) > 1 else float("nan")
+        case _:
+            return float(np.mean(valid))
+
+
+def _unit_error(valid: Array, statistic: str) -> float:
+    """Standard error of the statistic times the root of the number of trials, for large numbers."""
+    if len(valid) < 2:
+        return float("nan")
+    centred = valid - valid.mean()
+    variance = float(np.var(valid, ddof=1))
+    match statistic:
+        case "median":  # From the density at the median, by the central half of the trials.
+            low, high = np.quantile(valid, [0.25, 0.75])
+            return float(high - low)
+        case "std":
+            fourth = float(np.mean(centred**4))
+            return float(np.sqrt((fourth - variance**2) / (4.0 * variance))) if variance else 0.0
+        case _:
+            return float(variance**0.5)

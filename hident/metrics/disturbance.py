@@ -1,0 +1,65 @@
+"""The disturbance that a nonparametric estimate of a Hammerstein nonlinearity has to average out.
+
+delta_k = y_k - w_k = sum_{i>=1} gamma_i w_{k-i} + z_k          without filtering, Mzyk 2009, (20)
+delta_k^f = y_k^f - w_k                                         after filtering, Mzyk 2009, (21)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hident.config.spec import Flag, Real, component
+from hident.metrics.base import MetricSpec
+from hident.records import Estimate, Record
+
+
+@component("metric", "disturbance_variance", source="Mzyk 2009, section IV-C")
+class DisturbanceVariance(MetricSpec):
+    """Variance of the output (or of the filtered output) about the nonlinearity's output w_k."""
+
+    filtered: Flag = False
+    """Filter the output by the inverse of the estimated linear block first, eq. (14)."""
+
+    def needs_of_truth(self) -> frozenset[str]:
+        return frozenset({"nonlinearity"})
+
+    def needs_of_estimate(self) -> frozenset[str]:
+        return frozenset({"linear"} if self.filtered else ())
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        assert record.truth is not None
+        assert record.truth.nonlinearity is not None
+        y, lost = record.y, 0
+        if self.filtered:
+            assert estimate.linear is not None
+            y, lost = estimate.linear.inverse().filter(y), len(estimate.linear.a)
+        return (float(np.var((y - record.truth.nonlinearity(record.u))[lost:], ddof=1)),)
+
+
+@component("metric", "disturbance_variance_formula", source="Mzyk 2009, eq. (20), (21)")
+class DisturbanceVarianceFormula(MetricSpec):
+    """The variance that (20) gives, or (21) without its term c_v/N, from the true linear block."""
+
+    noise_variance: Real
+    """Variance sigma_z^2 of the output noise."""
+    w_variance: Real
+    """Variance sigma_w^2 of the nonlinearity's output."""
+    filtered: Flag = False
+    """Evaluate (21), after filtering, instead of (20)."""
+    squared: Flag = True
+    """Square gamma_i in (20); false shows the value that leaving the square out gives."""
+
+    def needs_of_truth(self) -> frozenset[str]:
+        return frozenset({"linear"})
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        assert record.truth is not None
+        linear = record.truth.linear
+        assert linear is not None
+        if self.filtered:  # Eq. (21)
+            return (self.noise_variance * float(np.sum(linear.denominator**2)),)
+        gamma = linear.impulse_response(linear.memory())[1:]
+        power = 2 if self.squared else 1
+        return (self.noise_variance + self.w_variance * float(np.sum(gamma**power)),)  # Eq. (20)

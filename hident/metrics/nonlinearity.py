@@ -1,0 +1,110 @@
+"""Distances between the estimated and the true characteristic."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from pydantic import field_validator
+
+from hident.config.spec import Count, Real, component
+from hident.metrics.base import MetricSpec
+from hident.records import Array, Characteristic, Estimate, Record, Truth
+
+_NODES = 8
+_PARTS = frozenset({"nonlinearity"})
+
+
+def quadrature(low: float, high: float, breaks: Sequence[float], points: int) -> tuple[Array, Array]:
+    """Nodes and weights of a composite Gauss-Legendre rule on [low, high], split at the breaks.
+
+    Each panel has 8 nodes, so a smooth piece is integrated to rounding; an integrand with jumps of its own
+    (a window estimate) to the order of the panel width. Shapes (M,), with M at least ``points``.
+    """
+    edges = np.array([low, *(b for b in breaks if low < b < high), high])
+    # Panels are shared out in proportion to the lengths of the pieces.
+    shares = np.ceil(np.diff(edges) / (high - low) * points / _NODES).astype(int)
+    grid = np.concatenate(
+        [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(edges, edges[1:], shares, strict=False)]
+    )
+    widths = np.diff(grid, append=high)
+    x, w = np.polynomial.legendre.leggauss(_NODES)
+    nodes = grid[:, None] + widths[:, None] * (x + 1.0) / 2.0
+    return nodes.ravel(), np.outer(widths / 2.0, w).ravel()
+
+
+def _of(truth: Truth | None) -> tuple[Characteristic, tuple[float, ...]]:
+    if truth is None or truth.nonlinearity is None:
+        raise ValueError("the record has no true nonlinearity")
+    return truth.nonlinearity, truth.breakpoints
+
+
+class _OnInterval(MetricSpec):
+    interval: tuple[Real, Real]
+    """The input range [low, high] that the error is taken over."""
+    points: Count = 4096
+    """Least number of quadrature nodes on the interval."""
+
+    @field_validator("interval")
+    @classmethod
+    def _increasing(cls, interval: tuple[float, float]) -> tuple[float, float]:
+        if not interval[0] < interval[1]:
+            raise ValueError("must be [low, high] with low < high")
+        return interval
+
+    @field_validator("points")
+    @classmethod
+    def _enough(cls, points: int) -> int:
+        if points < _NODES:
+            raise ValueError(f"must be at least {_NODES}")
+        return points
+
+    def needs_of_truth(self) -> frozenset[str]:
+        return _PARTS
+
+    def needs_of_estimate(self) -> frozenset[str]:
+        return _PARTS
+
+    def integrals(self, estimate: Estimate, record: Record) -> tuple[float, float]:
+        """The integrals of the squared error and of the squared truth over the interval."""
+        truth, breaks = _of(record.truth)
+        assert estimate.nonlinearity is not None
+        nodes, weights = quadrature(*self.interval, breaks, self.points)
+        true = truth(nodes)
+        return float(weights @ (estimate.nonlinearity(nodes) - true) ** 2), float(weights @ true**2)
+
+
+@component("metric", "mise", source="Mzyk 2009, section V")
+class IntegratedSquaredError(_OnInterval):
+    """Integrated squared error of the nonlinearity; its mean over trials is the MISE.
+
+    ``at: grid`` integrates over the interval, piece by piece between the characteristic's jumps. ``at:
+    samples`` is the interval's length times the mean squared error at the record's inputs inside it, which
+    estimates the same integral when the input is uniform there, but scores the estimate only where a sample
+    supports it.
+    """
+
+    at: Literal["grid", "samples"] = "grid"
+    """Where the error is taken: on a quadrature grid, or at the inputs of the record."""
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        if self.at == "grid":
+            return (self.integrals(estimate, record)[0],)
+        truth, _ = _of(record.truth)
+        assert estimate.nonlinearity is not None
+        low, high = self.interval
+        inside = (record.u >= low) & (record.u <= high)
+        u = record.u if inside.all() else record.u[inside]
+        error = estimate.nonlinearity(u)
+        error = error - truth(u)
+        return ((high - low) * float(error @ error) / len(u) if len(u) else float("nan"),)
+
+
+@component("metric", "nonlinearity_percent_error")
+class NonlinearityPercentError(_OnInterval):
+    """Root of the integrated squared error in percent of the root of the integrated squared truth."""
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        error, energy = self.integrals(estimate, record)
+        return (100.0 * float(np.sqrt(error / energy)) if energy else float("nan"),)

@@ -1,0 +1,68 @@
+"""Scores of named values: parameters such as a_1 or b_0."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pydantic import field_validator
+
+from hident.config.spec import component
+from hident.metrics.base import MetricSpec
+from hident.records import Estimate, Record
+
+
+class _OfValues(MetricSpec):
+    of: tuple[str, ...]
+    """Names of the values, e.g. [a_1, a_2]."""
+
+    @field_validator("of")
+    @classmethod
+    def _some(cls, of: tuple[str, ...]) -> tuple[str, ...]:
+        if not of:
+            raise ValueError("must name at least one value, e.g. [a_1]")
+        return of
+
+    def needs_of_estimate(self) -> frozenset[str]:
+        return frozenset(f"value {name}" for name in self.of)
+
+
+class _AgainstTruth(_OfValues):
+    def needs_of_truth(self) -> frozenset[str]:
+        return frozenset(f"value {name}" for name in self.of)
+
+    def errors(self, estimate: Estimate, record: Record) -> list[float]:
+        assert record.truth is not None
+        return [estimate.values[name] - record.truth.values[name] for name in self.of]
+
+
+@component("metric", "value")
+class Value(_OfValues):
+    """The estimated values themselves."""
+
+    def labels(self, name: str) -> tuple[str, ...]:
+        return tuple(f"{name} {value}" for value in self.of)
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        return [estimate.values[name] for name in self.of]
+
+
+@component("metric", "error")
+class Error(_AgainstTruth):
+    """Estimate minus truth: its mean over trials is the bias, its std the standard deviation."""
+
+    def labels(self, name: str) -> tuple[str, ...]:
+        return tuple(f"{name} {value}" for value in self.of)
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        return self.errors(estimate, record)
+
+
+@component("metric", "percent_error", source="Chen, Hwang, Chang 2009, section 6, example 1")
+class PercentError(_AgainstTruth):
+    """Sum of absolute errors of the values in percent of the sum of their absolute truths."""
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        assert record.truth is not None
+        size = sum(abs(record.truth.values[name]) for name in self.of)
+        error = sum(abs(value) for value in self.errors(estimate, record))
+        return (100.0 * error / size if size else float("nan"),)

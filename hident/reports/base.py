@@ -1,0 +1,92 @@
+"""What every table and figure spec answers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hident.config.spec import Component
+from hident.engine.results import Results
+from hident.ledger.verdicts import Verdict
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+Reference = tuple[str, str, str]
+"""The field that refers, what to (estimator, metric, axis or 'label of AXIS'), and the name."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table as text; ``data`` is written as a CSV of its own where table.csv does not hold it."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...] = ()
+    data: pd.DataFrame | None = None
+
+    def markdown(self) -> str:
+        """The table in Markdown, its columns aligned."""
+        rows = [self.header, *self.rows]
+        widths = [max(len(row[i]) for row in rows) for i in range(len(self.header))]
+        left = [all(not _is_number(row[i]) for row in self.rows) for i in range(len(widths))]
+
+        def line(row: Sequence[str]) -> str:
+            cells = [
+                cell.ljust(width) if to_left else cell.rjust(width)
+                for cell, width, to_left in zip(row, widths, left, strict=True)
+            ]
+            return f"| {' | '.join(cells)} |"
+
+        rule = [
+            "-" * width if to_left else "-" * (width - 1) + ":"
+            for width, to_left in zip(widths, left, strict=True)
+        ]
+        body = [line(self.header), line(rule), *(line(row) for row in self.rows)]
+        return "\n".join([f"## {self.title}", "", *body, *(f"\n{note}" for note in self.notes)])
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.split(" ", maxsplit=1)[0])
+    except ValueError:
+        return text == ""
+    return True
+
+
+class TableSpec(Component):
+    """Base of all tables."""
+
+    title: str
+    """Title of the table."""
+
+    def references(self) -> Iterator[Reference]:
+        """The names of the configuration that it refers to."""
+        yield from ()
+
+    def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
+        """The table of the results, with the printed numbers beside them where there are any."""
+        raise NotImplementedError
+
+
+class FigureSpec(Component):
+    """Base of all figures."""
+
+    def references(self) -> Iterator[Reference]:
+        """The names of the configuration that it refers to."""
+        yield from ()
+
+    def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
+        """The figure; :mod:`hident.reports.style` sets its look."""
+        raise NotImplementedError
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write by a temporary file and a rename, so that a reader never sees half a file."""
+    temporary = path.with_name(f".{path.name}.part")
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(path)

@@ -1,0 +1,241 @@
+"""Figures, each written as one PNG."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from hident.config.spec import Count, Flag, Real, Spec, component
+from hident.engine.experiment import Label
+from hident.engine.results import Results, Series
+from hident.engine.trial import Job, estimate, generate
+from hident.errors import EstimationError
+from hident.ledger.verdicts import Verdict
+from hident.records import Array
+from hident.reports.base import FigureSpec, Reference
+from hident.reports.style import DATA, LINES, TRUTH
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+class Slope(Spec):
+    """A reference line of a given slope on log axes."""
+
+    slope: Real
+    """The slope, e.g. -2/5."""
+    label: str
+    """Its text in the legend."""
+
+
+@component("figure", "curve")
+class Curve(FigureSpec):
+    """A metric against a numeric axis: mean, band of the central 90 % of trials, printed numbers."""
+
+    x: str
+    """The axis along the abscissa; its labels are numbers."""
+    metric: str
+    """Label of the metric."""
+    estimators: tuple[str, ...] | None = None
+    """Names of the estimators; all by default."""
+    statistic: Literal["mean", "median", "std"] = "mean"
+    """The statistic drawn as a line."""
+    root: Flag = False
+    """Draw the square root, as for a mean squared error."""
+    band: Flag = True
+    """Shade from the 5 % to the 95 % quantile of the trials."""
+    x_label: str
+    """Label of the abscissa, with its unit."""
+    y_label: str
+    """Label of the ordinate, with its unit."""
+    log_x: Flag = True
+    """Logarithmic abscissa."""
+    log_y: Flag = True
+    """Logarithmic ordinate."""
+    slopes: tuple[Slope, ...] = ()
+    """Reference lines through the first point of the first curve."""
+    panels: Flag = False
+    """One panel for each curve, on common axes, where bands would cover each other."""
+
+    def references(self) -> Iterator[Reference]:
+        yield "x", "axis", self.x
+        yield "metric", "metric", self.metric
+        for estimator in self.estimators or ():
+            yield "estimators", "estimator", estimator
+
+    def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
+        import matplotlib.pyplot as plt
+
+        curves = self._curves(results)
+        columns = min(2, len(curves)) if self.panels else 1
+        rows = -(-len(curves) // columns) if self.panels else 1
+        figure, grid = plt.subplots(
+            rows,
+            columns,
+            squeeze=False,
+            sharex=True,
+            sharey=True,
+            figsize=(3.2 * columns + 1.6 * (columns == 1), 2.4 * rows + 0.9 * (rows == 1)),
+        )
+        panels: list[Axes] = list(grid.flat)
+        beside = {id(verdict.series): verdict for verdict in verdicts}
+        for i, (name, curve) in enumerate(curves.items()):
+            axes = panels[i] if self.panels else panels[0]
+            self._draw_curve(axes, name, curve, LINES[i % len(LINES)], beside)
+        for axes in panels[: len(curves) if self.panels else 1]:
+            self._finish(axes, next(iter(curves.values())))
+        for axes in panels[len(curves) if self.panels else 1 :]:
+            axes.set_visible(False)
+        for axes in grid[-1, :]:
+            axes.set_xlabel(self.x_label)
+        for axes in grid[:, 0]:
+            axes.set_ylabel(self.y_label)
+        return figure
+
+    def _curves(self, results: Results) -> dict[str, list[Series]]:
+        """The series of each curve; axes other than x tell curves of one estimator apart."""
+        curves: dict[str, list[Series]] = {}
+        for series in results.select(metric=self.metric):
+            if self.estimators is None or series.unit.name in self.estimators:
+                rest = [str(v) for axis, v in series.unit.labels.items() if axis != self.x]
+                curves.setdefault(", ".join([series.unit.name, *rest]), []).append(series)
+        return curves
+
+    def _draw_curve(
+        self,
+        axes: Axes,
+        name: str,
+        curve: Sequence[Series],
+        line: dict[str, Any],
+        beside: dict[int, Verdict],
+    ) -> None:
+        x = np.array([float(series.unit.labels[self.x]) for series in curve])
+
+        def heights(statistic: str) -> Array:
+            values = np.array([series.statistics[statistic] for series in curve])
+            return np.sqrt(values) if self.root else values
+
+        if self.band:
+            axes.fill_between(x, heights("q05"), heights("q95"), color=line["color"], alpha=0.15, linewidth=0)
+        axes.plot(x, heights(self.statistic), label=name, **line)
+        printed = [(a, beside[id(s)].printed.value) for a, s in zip(x, curve, strict=True) if id(s) in beside]
+        if printed:
+            axes.plot(
+                *zip(*printed, strict=True),
+                linestyle="none",
+                marker="x",
+                markersize=6,
+                markeredgewidth=1.4,
+                color="black",
+                zorder=5,
+                label=f"{name}, printed" if self.panels else None,
+            )
+            if not self.panels and "printed" not in axes.get_legend_handles_labels()[1]:
+                axes.lines[-1].set_label("printed")
+
+    def _finish(self, axes: Axes, first: Sequence[Series]) -> None:
+        if self.log_x:
+            axes.set_xscale("log")
+        if self.log_y:
+            axes.set_yscale("log")
+        x = np.array([float(series.unit.labels[self.x]) for series in first])
+        start = first[0].statistics[self.statistic] ** (0.5 if self.root else 1.0)
+        for i, reference in enumerate(self.slopes):
+            axes.plot(
+                x,
+                start * (x / x[0]) ** reference.slope,
+                color="0.4",
+                linestyle=[":", "-."][i % 2],
+                linewidth=1.0,
+                label=reference.label,
+            )
+        axes.legend()
+
+
+@component("figure", "realisation")
+class Realisation(FigureSpec):
+    """The estimates of one trial against the true characteristic, with the data."""
+
+    at: tuple[dict[str, Any], ...] = ({},)
+    """Labels of the cases, one panel for each, e.g. [{samples: 50}, {samples: 500}]."""
+    trial: Annotated[Count, Field(ge=0)] = 0
+    """Number of the trial."""
+    estimators: tuple[str, ...]
+    """Names of the estimators."""
+    interval: tuple[Real, Real]
+    """Range of the abscissa."""
+    y_limits: tuple[Real, Real] | None = None
+    """Range of the ordinate; by the truth and the estimates by default."""
+    x_label: str = "u"
+    """Label of the abscissa."""
+    y_label: str = "μ(u)"
+    """Label of the ordinate."""
+
+    def references(self) -> Iterator[Reference]:
+        for labels in self.at:
+            for axis, label in labels.items():
+                yield "at", "axis", axis
+                yield "at", f"label of {axis}", str(label)
+        for estimator in self.estimators:
+            yield "estimators", "estimator", estimator
+
+    def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
+        import matplotlib.pyplot as plt
+
+        rows, columns = len(self.at), len(self.estimators)
+        figure, grid = plt.subplots(
+            rows,
+            columns,
+            squeeze=False,
+            sharex=True,
+            sharey=True,
+            figsize=(min(2.5 * columns + 0.4, 10.5), 2.2 * rows + 0.5),
+        )
+        for labels, row in zip(self.at, grid, strict=True):
+            for i, (name, axes) in enumerate(zip(self.estimators, row, strict=True)):
+                self._panel(axes, results, name, labels, LINES[i % len(LINES)])
+        for axes in grid[-1]:
+            axes.set_xlabel(self.x_label)
+        for axes in grid[:, 0]:
+            axes.set_ylabel(self.y_label)
+        handles = {
+            label: h for axes in grid.flat for h, label in zip(*axes.get_legend_handles_labels(), strict=True)
+        }
+        figure.legend(
+            handles.values(), handles.keys(), loc="outside upper center", ncols=min(4, len(handles))
+        )
+        return figure
+
+    def _panel(
+        self, axes: Axes, results: Results, name: str, labels: dict[str, Label], line: dict[str, Any]
+    ) -> None:
+        series = next(results.select(name, labels=labels))
+        unit = series.unit
+        record = generate(unit.data, results.seed, self.trial)
+        low, high = self.interval
+        u = np.linspace(low, high, 2001)
+        truth = record.truth
+        assert truth is not None
+        assert truth.nonlinearity is not None
+        true = truth.nonlinearity(u)
+        true[np.searchsorted(u, [b for b in truth.breakpoints if low < b < high])] = np.nan
+        axes.plot(record.u, record.y, label="data", **DATA)
+        axes.plot(u, true, label="true μ", **TRUTH)
+        case = ", ".join(f"{axis} {label}" for axis, label in labels.items())
+        axes.set_title(f"{name}{', ' if case else ''}{case}")
+        try:
+            with np.errstate(all="ignore"):
+                found = estimate(unit.data, Job(unit.estimator, ()), record, results.seed, self.trial)
+                assert found.nonlinearity is not None
+                values = found.nonlinearity(u)
+        except EstimationError as error:
+            axes.text(0.5, 0.5, f"failed: {error}", transform=axes.transAxes, ha="center", wrap=True)
+        else:
+            style = {"color": line["color"], "linestyle": line["linestyle"], "linewidth": 1.3, "zorder": 5}
+            axes.plot(u, values, label=name, **style)
+        if self.y_limits is not None:
+            axes.set_ylim(*self.y_limits)

@@ -1,0 +1,213 @@
+"""What a run writes to its folder, each file by a temporary one and a rename."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import hident
+from hident.config.spec import canonical
+from hident.engine.experiment import Plan
+from hident.engine.fingerprint import code, libraries
+from hident.engine.results import Results
+from hident.engine.runner import unit_key
+from hident.engine.trial import digest
+from hident.errors import StoreError
+from hident.ledger.verdicts import Verdict, frame, judge
+from hident.reports.base import FigureSpec, Table, TableSpec, write_text
+from hident.reports.style import style
+
+_PACKAGES = ("numpy", "scipy", "finufft", "pandas", "matplotlib", "pydantic")
+
+
+def output_key(plan: Plan, seed: int, trials: int) -> str:
+    """Hash of everything that the written files depend on."""
+    experiment, paper = plan.experiment, plan.paper
+    files = [] if paper is None else [paper / "published.csv", paper / "reasons.yaml"]
+    return digest(
+        {
+            "units": [unit_key(unit, seed) for unit in plan.units],
+            "trials": trials,
+            "experiment": canonical(experiment),
+            "paper": [hashlib.sha256(f.read_bytes()).hexdigest() for f in files if f.is_file()],
+            "code": code(["hident.reports.output", *_modules(experiment.tables, experiment.figures)]),
+            "libraries": [version(name) for name in _PACKAGES],
+        }
+    )
+
+
+def up_to_date(folder: Path, key: str) -> bool:
+    """Whether the folder holds, unaltered, what a run with this key wrote."""
+    try:
+        provenance = json.loads((folder / "run.json").read_bytes())["provenance"]
+        return bool(provenance["key"] == key) and all(
+            hashlib.sha256((folder / name).read_bytes()).hexdigest() == sha
+            for name, sha in provenance["sha256"].items()
+        )
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return False
+
+
+def write(results: Results, folder: Path, run: Mapping[str, Any]) -> None:
+    """Write tables, figures, verdicts and run.json; ``run`` joins the provenance.
+
+    Raises
+    ------
+    StoreError
+        If the folder cannot be written.
+    ConfigError
+        If a table or the verdicts ask for a printed number that does not exist.
+    """
+    verdicts = judge(results)
+    experiment = results.plan.experiment
+    tables = {
+        name: spec.build(results, verdicts)
+        for name, spec in experiment.tables.items()
+        if isinstance(spec, TableSpec)
+    }
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        before = _listed(folder)
+        files = _write_text_files(results, verdicts, tables, folder)
+        files += _write_figures(results, verdicts, folder)
+        write_text(folder / "run.json", _run_json(results, folder, files, run))
+        for stale in before - set(files) - {"run.json"}:
+            (folder / stale).unlink(missing_ok=True)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise StoreError(
+            f"{folder} cannot be written ({reason}); all trials are kept: run again with --out, or make room"
+        ) from None
+
+
+def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str, Table]) -> str:
+    """The text of table.md."""
+    experiment = results.plan.experiment
+    parts = [f"# {experiment.title}", f"{results.trials} trials, seed {results.seed}."]
+    parts += [table.markdown() for table in tables.values()]
+    if verdicts:
+        words = [verdict.word for verdict in verdicts]
+        counts = ", ".join(f"{words.count(word)} {word}" for word in dict.fromkeys(words))
+        parts.append(f"Printed numbers: {len(words)}, of which {counts}.")
+        parts += [
+            f"- {' / '.join(v.printed.key)}: printed {v.printed.printed}, ours {v.ours:.4g} "
+            f"[{v.low:.4g}, {v.high:.4g}]: {v.reason or 'no reason is given yet'}"
+            for v in verdicts
+            if v.word == "differs"
+        ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _write_text_files(
+    results: Results, verdicts: Sequence[Verdict], tables: Mapping[str, Table], folder: Path
+) -> list[str]:
+    texts = {"table.csv": results.frame().to_csv(index=False, lineterminator="\n")}
+    for name, table in tables.items():
+        if table.data is not None:
+            texts[f"{name}.csv"] = table.data.to_csv(index=False, lineterminator="\n")
+    if verdicts:
+        texts["verdicts.csv"] = frame(verdicts).to_csv(index=False, lineterminator="\n")
+    texts["table.md"] = markdown(results, verdicts, tables)
+    for name, text in texts.items():
+        write_text(folder / name, text)
+    return list(texts)
+
+
+def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) -> list[str]:
+    names = []
+    for name, spec in results.plan.experiment.figures.items():
+        assert isinstance(spec, FigureSpec)
+        with style():
+            import matplotlib.pyplot as plt
+
+            figure = spec.draw(results, verdicts)
+            temporary = folder / f".{name}.part"
+            # Without the writer's version in it, the file depends on what it shows alone.
+            figure.savefig(temporary, format="png", metadata={"Software": None})
+            plt.close(figure)
+        temporary.replace(folder / f"{name}.png")
+        names.append(f"{name}.png")
+    return names
+
+
+def _run_json(results: Results, folder: Path, files: Sequence[str], run: Mapping[str, Any]) -> str:
+    plan = results.plan
+    resolved = canonical(plan.experiment)
+    content = {
+        "experiment": {
+            "config": plan.name,
+            "hash": digest(resolved),
+            "seed": results.seed,
+            "trials": results.trials,
+            "resolved": resolved,
+        },
+        "files": sorted(files),
+        "provenance": {
+            "hident": hident.__version__,
+            "python": platform.python_version(),
+            "libraries": {name: version(name) for name in _PACKAGES} | libraries(),
+            **_git(plan.root),
+            "platform": platform.platform(),
+            "cpu": _cpu(),
+            "blas": _blas(),
+            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+            **run,
+            "key": output_key(plan, results.seed, results.trials),
+            "sha256": {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in files},
+        },
+    }
+    return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+
+
+def _listed(folder: Path) -> set[str]:
+    """The files that an earlier run wrote here."""
+    try:
+        names = json.loads((folder / "run.json").read_bytes())["files"]
+        return {name for name in names if isinstance(name, str) and Path(name).name == name}
+    except (OSError, ValueError, KeyError, TypeError):
+        return set()
+
+
+def _modules(*families: Mapping[str, Any]) -> set[str]:
+    return {type(spec).__module__ for family in families for spec in family.values()}
+
+
+def _git(folder: Path) -> dict[str, Any]:
+    def git(*arguments: str) -> str | None:
+        try:
+            done = subprocess.run(
+                ["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True, timeout=10
+            )
+        except (OSError, subprocess.SubprocessError):
+            return None
+        return done.stdout.strip()
+
+    commit = git("rev-parse", "HEAD")
+    changes = git("status", "--porcelain", "--untracked-files=no")
+    return {"git_commit": commit, "git_dirty": None if changes is None else bool(changes)}
+
+
+def _cpu() -> str:
+    if sys.platform == "linux":
+        try:
+            for line in Path("/proc/cpuinfo").read_text().splitlines():
+                if line.startswith("model name"):
+                    return line.partition(":")[2].strip()
+        except OSError:
+            pass
+    return platform.processor() or platform.machine()
+
+
+def _blas() -> list[str]:
+    from threadpoolctl import threadpool_info
+
+    found = [info for info in threadpool_info() if info["user_api"] == "blas"]
+    return sorted({f"{info['internal_api']} {info['version']}" for info in found})

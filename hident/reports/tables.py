@@ -1,0 +1,246 @@
+"""Tables of table.md."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from hident.config.spec import Count, Flag, Real, Spec, component
+from hident.engine.experiment import Label, PublishedCells
+from hident.engine.results import Results, Series
+from hident.errors import ConfigError
+from hident.ledger.published import read_published
+from hident.ledger.verdicts import Verdict
+from hident.reports.base import Reference, Table, TableSpec
+
+_SIGNS = {"exact": "=", "agrees": "~", "differs": "!"}
+_LEGEND = (
+    "Beside ours, the printed number: `=` ours rounds to it, `~` it lies in the interval that the trials "
+    "give, `!` it differs."
+)
+Statistic = Literal["mean", "std", "se", "median", "spread", "mean_std"]
+
+
+def written(value: float, digits: int = 3) -> str:
+    """A number with ``digits`` significant digits, and at least its integer part in full."""
+    if not math.isfinite(value):
+        return "-"
+    if value and not 1e-4 <= abs(value) < 1e7:
+        return f"{value:.{digits - 1}e}"
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(value)))) if value else 0
+    return f"{value:.{decimals}f}"
+
+
+class Column(Spec):
+    """One column of a grid."""
+
+    estimator: str
+    """Name of the estimator."""
+    metric: str
+    """Label of the metric."""
+    header: str | None = None
+    """Heading; the estimator's name by default."""
+    statistic: Statistic = "mean"
+    """What is shown: mean, std, se, median, spread (median and quartiles) or mean_std."""
+
+
+@component("table", "grid")
+class Grid(TableSpec):
+    """One row for each label of an axis, one column for each estimator, printed numbers beside ours."""
+
+    rows: str
+    """The axis that goes down."""
+    row_header: str | None = None
+    """Heading of the first column; the axis by default."""
+    columns: tuple[Column, ...]
+    """What goes across."""
+    digits: Annotated[Count, Field(ge=1, le=15)] = 3
+    """Significant digits."""
+
+    def references(self) -> Iterator[Reference]:
+        yield "rows", "axis", self.rows
+        for column in self.columns:
+            yield "columns", "estimator", column.estimator
+            yield "columns", "metric", column.metric
+
+    def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
+        beside = {id(verdict.series): verdict for verdict in verdicts}
+        others = [axis for axis in results.plan.axes if axis.name != self.rows]
+        header = [self.row_header or self.rows]
+        shown: list[bool] = []
+        for column in self.columns:
+            header.append(column.header or column.estimator)
+            shown.append(any(id(s) in beside for s in results.select(column.estimator, column.metric)))
+            shown[-1] &= column.statistic == "mean"
+            header += ["printed"] * shown[-1]
+        rows = []
+        for label in results.labels(self.rows):
+            for rest in itertools.product(*(axis.labels for axis in others)):
+                labels = {
+                    self.rows: label,
+                    **{a.name: v for a, v in zip(others, rest, strict=True)},
+                }
+                row = [", ".join(map(str, (label, *rest)))]
+                for column, printed in zip(self.columns, shown, strict=True):
+                    series = next(results.select(column.estimator, column.metric, labels), None)
+                    row.append("" if series is None else self._cell(series, column.statistic))
+                    if printed:
+                        verdict = beside.get(id(series))
+                        row.append(f"{verdict.printed.printed} {_SIGNS[verdict.word]}" if verdict else "")
+                rows.append(tuple(row))
+        notes = [_LEGEND, *_intervals(verdicts)] if any(shown) else []
+        failed = _failures(results, self.columns)
+        return Table(self.title, tuple(header), tuple(rows), (*notes, *failed))
+
+    def _cell(self, series: Series, statistic: Statistic) -> str:
+        s = series.statistics
+        match statistic:
+            case "spread":
+                quartiles = f"{written(s['q25'], self.digits)}, {written(s['q75'], self.digits)}"
+                return f"{written(s['median'], self.digits)} [{quartiles}]"
+            case "mean_std":
+                return f"{written(s['mean'], self.digits)} ± {written(s['std'], self.digits)}"
+            case _:
+                return written(s[statistic], self.digits)
+
+
+def _intervals(verdicts: Sequence[Verdict]) -> list[str]:
+    return [f"Interval: {text}." for text in dict.fromkeys(v.interval for v in verdicts)]
+
+
+def _failures(results: Results, columns: Sequence[Column]) -> Iterator[str]:
+    for column in {(c.estimator, c.metric): c for c in columns}.values():
+        for series in results.select(column.estimator, column.metric):
+            failed, total = series.statistics["failed"], series.statistics["trials"]
+            if failed:
+                yield (
+                    f"{failed:.0f} of {total:.0f} trials of {series.unit.described()} failed "
+                    "and are left out of the statistics."
+                )
+
+
+@component("table", "rate")
+class Rate(TableSpec):
+    """Slopes of log statistic against log axis, by weighted least squares, with standard errors."""
+
+    axis: str
+    """The axis whose labels are numbers, e.g. samples."""
+    metric: str
+    """Label of the metric."""
+    estimators: tuple[str, ...]
+    """Names of the estimators."""
+    statistic: Literal["mean", "median", "std"] = "mean"
+    """The statistic whose rate is sought."""
+    root: Flag = False
+    """Take the square root first, as for the mean of a squared error."""
+    expected: Real | None = None
+    """The slope that theory gives."""
+
+    def references(self) -> Iterator[Reference]:
+        yield "axis", "axis", self.axis
+        yield "metric", "metric", self.metric
+        for estimator in self.estimators:
+            yield "estimators", "estimator", estimator
+
+    def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
+        import pandas as pd
+
+        groups: dict[tuple[str, tuple[tuple[str, Label], ...]], list[Series]] = {}
+        for estimator in self.estimators:
+            for series in results.select(estimator, self.metric):
+                rest = tuple((a, v) for a, v in series.unit.labels.items() if a != self.axis)
+                groups.setdefault((estimator, rest), []).append(series)
+        rows = []
+        for (estimator, rest), group in groups.items():
+            slope, error = self.slope(group)
+            rows.append({"estimator": estimator, **dict(rest), "slope": slope, "standard_error": error})
+        data = pd.DataFrame(rows)
+        if self.expected is not None:
+            data["expected"] = self.expected
+            data["deviation"] = (data["slope"] - self.expected) / data["standard_error"]
+        titles = {"standard_error": "standard error", "deviation": "deviation / standard error"}
+        return Table(
+            self.title,
+            tuple(titles.get(str(name), str(name)) for name in data.columns),
+            tuple(
+                tuple(v if isinstance(v, str) else written(float(v)) for v in row)
+                for row in data.itertuples(index=False)
+            ),
+            data=data,
+        )
+
+    def slope(self, group: Sequence[Series]) -> tuple[float, float]:
+        """Weighted least-squares slope and its standard error, scaled up if the fit is worse than noise."""
+        power = 0.5 if self.root else 1.0
+        x = np.log([float(series.unit.labels[self.axis]) for series in group])
+        s = [series.statistics for series in group]
+        value = np.array([row[self.statistic] for row in s])
+        relative = np.array([row["se"] for row in s]) / value * power
+        z = power * np.log(value)
+        weight = relative**-2.0
+        centred = x - np.average(x, weights=weight)
+        information = float(weight @ centred**2)
+        slope = float(weight @ (centred * z)) / information
+        residual = z - np.average(z, weights=weight) - slope * centred
+        freedom = len(group) - 2
+        scatter = float(weight @ residual**2) / freedom if freedom > 0 else 1.0
+        return slope, float(np.sqrt(max(1.0, scatter) / information))
+
+
+@component("table", "distance")
+class Distance(TableSpec):
+    """Distance of every setting to the printed numbers: mean absolute log ratio over the rows."""
+
+    rows: str
+    """The axis over which the printed numbers are averaged."""
+    cells: tuple[PublishedCells, ...]
+    """The correspondence of cells; several may name the same printed quantity."""
+    best: Annotated[Count, Field(ge=1)] = 3
+    """How many of the nearest settings of each quantity and metric are shown."""
+
+    def references(self) -> Iterator[Reference]:
+        yield "rows", "axis", self.rows
+        for cell in self.cells:
+            yield "cells", "estimator", cell.estimator
+            yield "cells", "metric", cell.metric
+
+    def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
+        import pandas as pd
+
+        paper = results.plan.paper
+        if paper is None:
+            raise ConfigError(f"{results.plan.path}: the table '{self.title}' needs 'paper:'")
+        numbers = read_published(paper)
+        ratios: dict[tuple[str, ...], list[float]] = {}
+        axes = [axis.name for axis in results.plan.axes if axis.name != self.rows]
+        for cell in self.cells:
+            for series in results.select(cell.estimator, cell.metric):
+                labels = series.unit.labels
+                key = (cell.table, cell.row.format_map(labels), cell.quantity.format_map(labels))
+                if key not in numbers:
+                    raise ConfigError(f"{paper / 'published.csv'} has no number for {' / '.join(key)}")
+                setting = tuple(str(labels.get(axis, "")) for axis in axes)
+                ratio = series.statistics[cell.statistic] / numbers[key].value
+                group = (key[2], cell.metric, cell.statistic, *setting)
+                ratios.setdefault(group, []).append(abs(math.log(ratio)))
+        names = ["quantity", "metric", "statistic", *axes]
+        data = pd.DataFrame(
+            [(*group, float(np.mean(values))) for group, values in ratios.items()],
+            columns=[*names, "distance"],
+        ).sort_values(["quantity", "distance"], ignore_index=True, kind="stable")
+        shown = data.groupby(["quantity", "metric", "statistic"], sort=False).head(self.best)
+        return Table(
+            self.title,
+            tuple(shown.columns),
+            tuple(
+                tuple(v if isinstance(v, str) else f"{v:.3f}" for v in row)
+                for row in shown.itertuples(index=False)
+            ),
+            ("Distance: mean over the rows of |log(ours / printed)|; 0.1 is about 10 %.",),
+            data,
+        )

@@ -1,0 +1,38 @@
+"""Who may draw which random numbers.
+
+Every trial has separate streams for the system, the input, the noise and each estimator, so that the data
+of a trial depend on the seed, the data-generating part of the case and the trial's number, and on nothing
+else: not on the estimators, the order of the cases, the number of workers or the number of trials.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from hident.config.spec import Component, component
+
+Role = Literal["system", "input", "noise", "estimator"]
+_ROLES: tuple[Role, ...] = ("system", "input", "noise", "estimator")
+
+
+class StreamsSpec(Component):
+    """Base of all sources of random numbers."""
+
+    fixed: tuple[Literal["system", "input", "noise"], ...] = ()
+    """Streams that start anew in every trial: the same draws in all trials (e.g. [input])."""
+
+    def generator(self, role: Role, seed: int, key: int, trial: int) -> np.random.Generator:
+        """The generator of one role in one trial; ``key`` is the hash of what the stream belongs to."""
+        raise NotImplementedError
+
+
+@component("streams", "numpy")
+class NumpyStreams(StreamsSpec):
+    """NumPy's PCG64, seeded by SeedSequence with spawn keys."""
+
+    def generator(self, role: Role, seed: int, key: int, trial: int) -> np.random.Generator:
+        number = 0 if role in self.fixed else trial + 1
+        sequence = np.random.SeedSequence([seed, key], spawn_key=(_ROLES.index(role), number))
+        return np.random.Generator(np.random.PCG64(sequence))

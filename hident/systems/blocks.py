@@ -1,0 +1,96 @@
+"""The block-oriented systems: static nonlinearities and discrete linear blocks in series."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+from pydantic import model_validator
+
+from hident.config.spec import Of, component
+from hident.records import Array, Truth
+from hident.systems.base import NonlinearitySpec, Simulation, SystemSpec
+from hident.systems.linear import LinearSpec
+
+
+class _OneLinearBlock(SystemSpec):
+    nonlinearity: Annotated[NonlinearitySpec, Of("nonlinearity")]
+    """The static nonlinearity."""
+    linear: Annotated[LinearSpec, Of("linear")]
+    """The linear block."""
+
+    def burn_in(self) -> int:
+        return self.linear.burn_in()
+
+    def truth(self) -> Truth:
+        block = self.linear.transfer_function()
+        return Truth(
+            nonlinearity=self.nonlinearity,
+            linear=block,
+            values=block.values(),
+            breakpoints=self.nonlinearity.break_points(),
+        )
+
+
+@component("system", "hammerstein")
+class Hammerstein(_OneLinearBlock):
+    """A static nonlinearity, then a linear block; w between them."""
+
+    def simulate(self, u: Array) -> Simulation:
+        w = self.nonlinearity(u)
+        return Simulation(output=self.linear.simulate(w), internal={"w": w})
+
+
+@component("system", "wiener")
+class Wiener(_OneLinearBlock):
+    """A linear block, then a static nonlinearity; x between them."""
+
+    def simulate(self, u: Array) -> Simulation:
+        x = self.linear.simulate(u)
+        return Simulation(output=self.nonlinearity(x), internal={"x": x})
+
+
+def _start(initial: str | tuple[float, ...]) -> str:
+    return initial if isinstance(initial, str) else str(list(initial))
+
+
+@component("system", "wiener_hammerstein")
+class WienerHammerstein(SystemSpec):
+    """A static nonlinearity between two linear blocks; x before it, w after it."""
+
+    input_linear: Annotated[LinearSpec, Of("linear")]
+    """The linear block before the nonlinearity."""
+    nonlinearity: Annotated[NonlinearitySpec, Of("nonlinearity")]
+    """The static nonlinearity."""
+    output_linear: Annotated[LinearSpec, Of("linear")]
+    """The linear block after the nonlinearity."""
+
+    @model_validator(mode="after")
+    def _check_starts(self) -> Self:
+        first, second = self.input_linear.initial, self.output_linear.initial
+        if (first == "stationary") != (second == "stationary"):
+            raise ValueError(
+                "both linear blocks must start stationary, or both from a given state, "
+                f"not {_start(first)} and {_start(second)}: "
+                "a burn-in would move the given state before the record"
+            )
+        return self
+
+    def burn_in(self) -> int:
+        return self.input_linear.burn_in() + self.output_linear.burn_in()
+
+    def simulate(self, u: Array) -> Simulation:
+        x = self.input_linear.simulate(u)
+        w = self.nonlinearity(x)
+        return Simulation(output=self.output_linear.simulate(w), internal={"x": x, "w": w})
+
+    def truth(self) -> Truth:
+        values = {
+            f"{side}_{name}": value
+            for side, linear in (("input", self.input_linear), ("output", self.output_linear))
+            for name, value in linear.transfer_function().values().items()
+        }
+        return Truth(
+            nonlinearity=self.nonlinearity,
+            values=values,
+            breakpoints=self.nonlinearity.break_points(),
+        )

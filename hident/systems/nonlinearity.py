@@ -1,0 +1,252 @@
+"""Static nonlinearities; the simple ones serve as instruments and known functions too."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, Any, Self
+
+import numpy as np
+from numpy.polynomial.polynomial import polyval
+from pydantic import BeforeValidator, PrivateAttr, field_validator, model_validator
+
+from hident.config.expression import Formula
+from hident.config.spec import Count, Real, component
+from hident.records import Array
+from hident.systems.base import Coefficients, NonlinearitySpec
+
+
+class _BreaksAtZero(NonlinearitySpec):
+    def break_points(self) -> tuple[float, ...]:
+        return (0.0,)
+
+
+@component("nonlinearity", "identity")
+class Identity(NonlinearitySpec):
+    """The input itself: u."""
+
+    def __call__(self, u: Array) -> Array:
+        return np.positive(u)
+
+
+@component("nonlinearity", "abs")
+class Abs(_BreaksAtZero):
+    """Absolute value: |u|."""
+
+    def __call__(self, u: Array) -> Array:
+        return np.abs(u)
+
+
+@component("nonlinearity", "sign")
+class Sign(_BreaksAtZero):
+    """Sign: -1, 0 or 1."""
+
+    def __call__(self, u: Array) -> Array:
+        return np.sign(u)
+
+
+@component("nonlinearity", "power")
+class Power(NonlinearitySpec):
+    """Whole power: u^exponent."""
+
+    exponent: Count
+    """Exponent, 0 or more."""
+
+    @field_validator("exponent")
+    @classmethod
+    def _check_exponent(cls, exponent: int) -> int:
+        if exponent < 0:
+            raise ValueError(f"must be 0 or more, not {exponent}")
+        return exponent
+
+    def __call__(self, u: Array) -> Array:
+        return u**self.exponent
+
+
+@component("nonlinearity", "polynomial")
+class Polynomial(NonlinearitySpec):
+    """Polynomial: c_0 + c_1 u + c_2 u^2 + ..."""
+
+    coefficients: Coefficients
+    """Coefficients c_0, c_1, ..., the constant first."""
+
+    def __call__(self, u: Array) -> Array:
+        return np.asarray(polyval(u, self.coefficients))
+
+
+@component("nonlinearity", "exponential", source="Brouri, eq. (42b), (43b)")
+class Exponential(NonlinearitySpec):
+    """Exponential: scale * exp(rate * u)."""
+
+    scale: Real = 1.0
+    """Value at u = 0."""
+    rate: Real = 1.0
+    """Growth rate, in units of 1/u."""
+
+    def __call__(self, u: Array) -> Array:
+        return self.scale * np.exp(self.rate * u)
+
+
+def _as_point(value: Any) -> Any:
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise ValueError("must be a pair [u, value]")
+    return value
+
+
+@component("nonlinearity", "piecewise_linear")
+class PiecewiseLinear(NonlinearitySpec):
+    """Straight lines between given points, continued beyond the ends."""
+
+    points: tuple[Annotated[tuple[Real, Real], BeforeValidator(_as_point)], ...]
+    """At least two points [u, value], in increasing order of u."""
+    left_slope: Real | None = None
+    """Slope before the first point; that of the first segment if left out."""
+    right_slope: Real | None = None
+    """Slope after the last point; that of the last segment if left out."""
+
+    @field_validator("points")
+    @classmethod
+    def _check_points(cls, points: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        if len(points) < 2:
+            raise ValueError(f"must be at least two points, not {len(points)}")
+        for (before, _), (after, _) in pairwise(points):
+            if after <= before:
+                raise ValueError(f"u must increase from point to point: {after:.10g} follows {before:.10g}")
+        return points
+
+    def _slopes(self) -> Array:
+        """The slopes from left to right, shape (points + 1,)."""
+        u, value = np.array(self.points).T
+        inner = np.diff(value) / np.diff(u)
+        left = inner[0] if self.left_slope is None else self.left_slope
+        right = inner[-1] if self.right_slope is None else self.right_slope
+        return np.concatenate(([left], inner, [right]))
+
+    def __call__(self, u: Array) -> Array:
+        knots, values = np.array(self.points).T
+        slopes = self._slopes()
+        outside = slopes[0] * np.minimum(u - knots[0], 0.0) + slopes[-1] * np.maximum(u - knots[-1], 0.0)
+        return np.asarray(np.interp(u, knots, values) + outside)
+
+    def break_points(self) -> tuple[float, ...]:
+        slopes = self._slopes()
+        bends = ~np.isclose(slopes[:-1], slopes[1:], rtol=1e-12, atol=0.0)
+        return tuple(u for (u, _), bend in zip(self.points, bends, strict=True) if bend)
+
+
+class _Interval(NonlinearitySpec):
+    low: Real
+    """Lower end of the interval."""
+    high: Real
+    """Upper end of the interval."""
+    gain: Real = 1.0
+    """Slope of the rising part."""
+
+    @model_validator(mode="after")
+    def _check_order(self) -> Self:
+        if self.low >= self.high:
+            raise ValueError(f"'low' must be below 'high', not {self.low:.10g} and {self.high:.10g}")
+        return self
+
+    def break_points(self) -> tuple[float, ...]:
+        return (self.low, self.high)
+
+
+@component("nonlinearity", "saturation")
+class Saturation(_Interval):
+    """Saturation: gain * u between low and high, constant outside."""
+
+    def __call__(self, u: Array) -> Array:
+        return self.gain * np.clip(u, self.low, self.high)
+
+
+@component("nonlinearity", "dead_zone")
+class DeadZone(_Interval):
+    """Dead zone: zero between low and high, slope gain outside."""
+
+    def __call__(self, u: Array) -> Array:
+        return self.gain * (u - np.clip(u, self.low, self.high))
+
+
+@component("nonlinearity", "expression")
+class Expression(NonlinearitySpec):
+    """A formula in u, such as 0.5*abs(u) + 2*sin(u)."""
+
+    expression: str
+    """The formula: numbers, pi, e, + - * / **, one comparison, and functions of u."""
+    breaks: tuple[Real, ...] = ()
+    """Points where the formula or its derivative jumps, if any."""
+    _formula: Formula = PrivateAttr()
+
+    @field_validator("expression")
+    @classmethod
+    def _check_expression(cls, expression: str) -> str:
+        Formula(expression, ("u",))
+        return expression
+
+    def model_post_init(self, context: Any) -> None:
+        self._formula = Formula(self.expression, ("u",))
+
+    def __call__(self, u: Array) -> Array:
+        return np.full(u.shape, self._formula(u=u), dtype=float)
+
+    def break_points(self) -> tuple[float, ...]:
+        return tuple(sorted(set(self.breaks)))
+
+
+@component("nonlinearity", "mzyk2009", source="Mzyk 2009, section V")
+class Mzyk2009(_BreaksAtZero):
+    """(1/2 + sgn u)(|u| - pi) + 2 sin u: it jumps at 0, from pi/2 by way of -pi/2 to -3 pi/2."""
+
+    def __call__(self, u: Array) -> Array:
+        return (0.5 + np.sign(u)) * (np.abs(u) - np.pi) + 2.0 * np.sin(u)
+
+
+def _wigren(u: Array, d: float) -> Array:
+    return u / np.sqrt(d + 0.9 * u**2)
+
+
+def _soft_dead_zone(u: Array) -> Array:
+    return u**2 * np.expm1(0.7 * u)
+
+
+@component("nonlinearity", "chen_type_1", source="Chen, Hwang, Chang 2009, example 1")
+class ChenType1(NonlinearitySpec):
+    """Smooth saturation: u / sqrt(0.1 + 0.9 u^2)."""
+
+    def __call__(self, u: Array) -> Array:
+        return _wigren(u, 0.1)
+
+
+@component("nonlinearity", "chen_type_2", source="Chen, Hwang, Chang 2009, example 1")
+class ChenType2(NonlinearitySpec):
+    """A kind of dead zone: -u^2 (1 - exp(0.7 u))."""
+
+    def __call__(self, u: Array) -> Array:
+        return _soft_dead_zone(u)
+
+
+@component("nonlinearity", "chen_type_3", source="Chen, Hwang, Chang 2009, example 2")
+class ChenType3(_BreaksAtZero):
+    """Type 1 for u >= 0, type 2 for u < 0."""
+
+    def __call__(self, u: Array) -> Array:
+        # Both vanish at zero, and exp never sees a large positive argument.
+        return _wigren(np.maximum(u, 0.0), 0.1) + _soft_dead_zone(np.minimum(u, 0.0))
+
+
+@component("nonlinearity", "chen_type_4", source="Chen, Hwang, Chang 2009, example 2")
+class ChenType4(NonlinearitySpec):
+    """Smooth saturation of adjustable degree: u / sqrt(D + 0.9 u^2)."""
+
+    d: Real
+    """D, positive: the smaller, the harder the saturation."""
+
+    @field_validator("d")
+    @classmethod
+    def _check_d(cls, d: float) -> float:
+        if d <= 0.0:
+            raise ValueError(f"must be positive, not {d:.10g}")
+        return d
+
+    def __call__(self, u: Array) -> Array:
+        return _wigren(u, self.d)
