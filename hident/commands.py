@@ -83,7 +83,7 @@ def run_plans(
     keep_going: bool,
     quiet: bool,
 ) -> Exit:
-    """Run plans one after the other on one set of workers; a crash in one does not stop the next."""
+    """Run plans one after the other on one set of workers; a single one's tables are printed."""
     from hident.engine.executors import make_executor, usable_cores
 
     workers = jobs or usable_cores()
@@ -93,6 +93,8 @@ def run_plans(
         for plan in plans:
             try:
                 _run_plan(plan, place, executor, workers, keep_going=keep_going, quiet=quiet)
+                if not quiet and len(plans) == 1:
+                    print((place.out / plan.name / "table.md").read_text(encoding="utf-8"))
             except CrashReport as crash:
                 where = _keep_tracebacks(crash, place.out / plan.name)
                 print(f"error: {plan.name}: {crash}{where}", file=sys.stderr)
@@ -137,7 +139,6 @@ def _run_plan(
         write(results, folder, {"workers": workers, "wall_seconds": wall})
         note = f"{plan.name}: wrote {folder}"
     if not quiet:
-        print((folder / "table.md").read_text(encoding="utf-8"))
         print(note, file=sys.stderr)
 
 

@@ -45,7 +45,9 @@ class PublishedCells(Spec):
     metric: str
     """Label of the metric."""
     statistic: Literal["mean", "median", "std"] = "mean"
-    """The statistic over trials that the paper prints."""
+    """The statistic over trials that stands beside the printed number."""
+    at: dict[str, Any] = {}
+    """Labels of axes that limit the correspondence; all by default."""
 
 
 class Published(Spec):
@@ -385,6 +387,9 @@ def _unknown_names(experiment: Experiment, axes: Sequence[Axis]) -> Iterator[Pro
         at = ("published", "cells", i)
         yield from unknown((*at, "estimator"), "estimator", cell.estimator, known["estimator"])
         yield from unknown((*at, "metric"), "metric", cell.metric, known["metric"])
+        for axis, label in cell.at.items():
+            yield from unknown((*at, "at"), "axis", axis, known["axis"])
+            yield from unknown((*at, "at", axis), "label", str(label), known.get(f"label of {axis}", ()))
         for field in ("row", "quantity"):
             for axis in re.findall(r"{([^}]*)}", getattr(cell, field)):
                 yield from unknown((*at, field), "axis", axis, known["axis"])

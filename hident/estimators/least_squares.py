@@ -72,7 +72,7 @@ def least_squares(y: Array, p: int) -> Estimate:
     scale[scale == 0.0] = 1.0
     phi /= scale[:, None]
     theta, _, _, singular_values = np.linalg.lstsq(phi.T, y[p:], rcond=None)
-    if singular_values[-1] * ILL_CONDITIONED <= singular_values[0]:
+    if phi.shape[1] <= p or singular_values[-1] * ILL_CONDITIONED <= singular_values[0]:
         raise EstimationError(
             "the past outputs are linearly dependent: the output hardly varies, the record is too short, "
             f"or the order {p} is too high"

@@ -9,8 +9,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import GetJsonSchemaHandler
-from pydantic_core import CoreSchema, PydanticCustomError
+from pydantic_core import PydanticCustomError
 
 from hident.config.spec import Component, Of, Real, Spec, components
 from hident.config.suggest import one_of
@@ -50,7 +49,8 @@ def prefilter(y: Array, linear: TransferFunction) -> Array:
     """
     if linear.b[0] == 0.0:
         raise EstimationError("the linear block has b_0 = 0: it delays its input and has no causal inverse")
-    zeros = linear.zeros()
+    # Adding zero turns -0 into 0 for the message.
+    zeros = linear.zeros() + 0.0
     if np.any(np.abs(zeros) >= 1.0):
         found = ", ".join(f"{z.real:.4g}" if z.imag == 0.0 else f"{z:.4g}" for z in zeros)
         raise EstimationError(
@@ -63,7 +63,7 @@ def prefilter(y: Array, linear: TransferFunction) -> Array:
         filtered -= a * y[p - lag : len(y) - lag]
     if len(linear.b) == 1:
         return filtered / linear.b[0]
-    inverse = TransferFunction(b=(1.0 / linear.b[0],), a=linear.inverse().a)
+    inverse = TransferFunction(b=linear.b).inverse()
     steady = filtered.mean() / sum(linear.b)
     return inverse.filter(filtered, np.full(len(inverse.a), steady))
 
@@ -110,26 +110,15 @@ class _OfDynamics(Of):
         spec = super().validate(value)
         assert isinstance(spec, EstimatorSpec)
         if "linear" not in spec.provides():
-            allowed = one_of(_identifying_dynamics())
+            allowed = one_of(
+                kind
+                for kind, cls in components(self.family).items()
+                if issubclass(cls, EstimatorSpec) and cls.identifies_dynamics
+            )
             raise PydanticCustomError(
                 "config", f"'{spec.kind}' does not estimate a linear block (allowed: {allowed})"
             )
         return spec
-
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
-        # Not the options of all estimators: those that hold a prefilter would contain themselves.
-        kinds = {"enum": _identifying_dynamics()}
-        return {"anyOf": [{"type": "object", "properties": {"kind": kinds}, "required": ["kind"]}, kinds]}
-
-
-def _identifying_dynamics() -> list[str]:
-    return [
-        kind
-        for kind, cls in components("estimator").items()
-        if issubclass(cls, EstimatorSpec) and cls.identifies_dynamics
-    ]
 
 
 class NonparametricSpec(EstimatorSpec):

@@ -20,6 +20,11 @@ class Accepted:
     change: Literal["new", "changed", "unchanged"]
     differences: tuple[str, ...] = ()
 
+    def __str__(self) -> str:
+        count = len(self.differences)
+        extent = f", {count} difference{'s' * (count != 1)}" if count else ""
+        return f"{self.config}: {self.change}{extent}"
+
 
 def accept(ours: Path, results: Path) -> Accepted:
     """Make ``results/<config>`` an exact copy of ``ours``, the folder ``out/<config>`` of a finished run.

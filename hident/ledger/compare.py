@@ -152,7 +152,8 @@ def _contents(ours: Path, reference: Path, rtol: float) -> Iterator[str]:
         except Exception as error:  # Decoders meet junk with errors of any kind, PIL with a SyntaxError.
             yield f"{whose}cannot be read: {error}"
     if len(decoded) == 2:
-        yield from differences(*decoded, rtol)
+        mine, theirs = decoded
+        yield from differences(mine, theirs, rtol)
 
 
 def _difference(ours: str, reference: str, rtol: float) -> str | None:
@@ -164,9 +165,9 @@ def _difference(ours: str, reference: str, rtol: float) -> str | None:
         return said
     whole = _WHOLE.fullmatch(ours) and _WHOLE.fullmatch(reference)
     a, b = float(ours), float(reference)
-    if not whole and math.isclose(a, b, rel_tol=rtol):
+    if a == b == 0.0 or (not whole and math.isclose(a, b, rel_tol=rtol)):
         return None
-    return f"{said}, relative difference {abs(a - b) / (max(abs(a), abs(b)) or 1.0):.1e}"
+    return f"{said}, relative difference {abs(a - b) / max(abs(a), abs(b)):.1e}"
 
 
 @dataclass(frozen=True)
@@ -233,7 +234,7 @@ def _label(row: Row, columns: Sequence[str]) -> tuple[str, ...]:
 
 def _rounded(cell: str) -> str:
     """The cell without the last bits of a number, so that it can be looked up."""
-    return f"{float(cell):.6g}" if _NUMBER.fullmatch(cell) and not _WHOLE.fullmatch(cell) else cell
+    return f"{float(cell):.9g}" if _NUMBER.fullmatch(cell) and not _WHOLE.fullmatch(cell) else cell
 
 
 def _matched(

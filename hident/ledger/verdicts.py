@@ -66,7 +66,7 @@ def judge(results: Results) -> tuple[Verdict, ...]:
     numbers, reasons = read_published(paper), read_reasons(paper)
     verdicts = []
     for cell in published.cells:
-        for series in results.select(cell.estimator, cell.metric):
+        for series in results.select(cell.estimator, cell.metric, cell.at):
             labels = series.unit.labels
             key = (cell.table, cell.row.format_map(labels), cell.quantity.format_map(labels))
             if key not in numbers:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -16,7 +17,7 @@ from hident.errors import EstimationError
 from hident.ledger.verdicts import Verdict
 from hident.records import Array
 from hident.reports.base import FigureSpec, Reference
-from hident.reports.style import DATA, LINES, TRUTH
+from hident.reports.style import DATA, ESTIMATE, LINES, TRUTH
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,8 +41,6 @@ class Curve(FigureSpec):
     """The axis along the abscissa; its labels are numbers."""
     metric: str
     """Label of the metric."""
-    estimators: tuple[str, ...] | None = None
-    """Names of the estimators; all by default."""
     statistic: Literal["mean", "median", "std"] = "mean"
     """The statistic drawn as a line."""
     root: Flag = False
@@ -58,37 +57,37 @@ class Curve(FigureSpec):
     """Logarithmic ordinate."""
     slopes: tuple[Slope, ...] = ()
     """Reference lines through the first point of the first curve."""
-    panels: Flag = False
-    """One panel for each curve, on common axes, where bands would cover each other."""
+    panels: tuple[tuple[str, ...], ...] = ()
+    """Names of estimators for each panel, on common axes; one panel with all by default."""
 
     def references(self) -> Iterator[Reference]:
         yield "x", "axis", self.x
         yield "metric", "metric", self.metric
-        for estimator in self.estimators or ():
-            yield "estimators", "estimator", estimator
+        for name in itertools.chain.from_iterable(self.panels):
+            yield "panels", "estimator", name
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         import matplotlib.pyplot as plt
 
-        curves = self._curves(results)
-        columns = min(2, len(curves)) if self.panels else 1
-        rows = -(-len(curves) // columns) if self.panels else 1
+        panels = self.panels or (tuple(results.plan.experiment.estimators),)
+        columns = min(2, len(panels))
+        rows = -(-len(panels) // columns)
         figure, grid = plt.subplots(
             rows,
             columns,
             squeeze=False,
             sharex=True,
             sharey=True,
-            figsize=(3.2 * columns + 1.6 * (columns == 1), 2.4 * rows + 0.9 * (rows == 1)),
+            figsize=(3.4 * columns + 1.4 * (columns == 1), 2.6 * rows + 0.7 * (rows == 1)),
         )
-        panels: list[Axes] = list(grid.flat)
         beside = {id(verdict.series): verdict for verdict in verdicts}
-        for i, (name, curve) in enumerate(curves.items()):
-            axes = panels[i] if self.panels else panels[0]
-            self._draw_curve(axes, name, curve, LINES[i % len(LINES)], beside)
-        for axes in panels[: len(curves) if self.panels else 1]:
+        lines = itertools.cycle(LINES)
+        for axes, names in zip(grid.flat, panels, strict=False):
+            curves = self._curves(results, names)
+            for name, curve in curves.items():
+                self._draw_curve(axes, name, curve, next(lines), beside)
             self._finish(axes, next(iter(curves.values())))
-        for axes in panels[len(curves) if self.panels else 1 :]:
+        for axes in grid.flat[len(panels) :]:
             axes.set_visible(False)
         for axes in grid[-1, :]:
             axes.set_xlabel(self.x_label)
@@ -96,13 +95,13 @@ class Curve(FigureSpec):
             axes.set_ylabel(self.y_label)
         return figure
 
-    def _curves(self, results: Results) -> dict[str, list[Series]]:
+    def _curves(self, results: Results, names: Sequence[str]) -> dict[str, list[Series]]:
         """The series of each curve; axes other than x tell curves of one estimator apart."""
         curves: dict[str, list[Series]] = {}
-        for series in results.select(metric=self.metric):
-            if self.estimators is None or series.unit.name in self.estimators:
+        for name in names:
+            for series in results.select(name, self.metric):
                 rest = [str(v) for axis, v in series.unit.labels.items() if axis != self.x]
-                curves.setdefault(", ".join([series.unit.name, *rest]), []).append(series)
+                curves.setdefault(", ".join([name, *rest]), []).append(series)
         return curves
 
     def _draw_curve(
@@ -132,10 +131,8 @@ class Curve(FigureSpec):
                 markeredgewidth=1.4,
                 color="black",
                 zorder=5,
-                label=f"{name}, printed" if self.panels else None,
+                label=None if "printed" in axes.get_legend_handles_labels()[1] else "printed",
             )
-            if not self.panels and "printed" not in axes.get_legend_handles_labels()[1]:
-                axes.lines[-1].set_label("printed")
 
     def _finish(self, axes: Axes, first: Sequence[Series]) -> None:
         if self.log_x:
@@ -153,7 +150,11 @@ class Curve(FigureSpec):
                 linewidth=1.0,
                 label=reference.label,
             )
-        axes.legend()
+        # The printed numbers come last, whichever curve was drawn first.
+        entries = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+        if "printed" in entries:
+            entries["printed"] = entries.pop("printed")
+        axes.legend(entries.values(), entries.keys())
 
 
 @component("figure", "realisation")
@@ -196,8 +197,8 @@ class Realisation(FigureSpec):
             figsize=(min(2.5 * columns + 0.4, 10.5), 2.2 * rows + 0.5),
         )
         for labels, row in zip(self.at, grid, strict=True):
-            for i, (name, axes) in enumerate(zip(self.estimators, row, strict=True)):
-                self._panel(axes, results, name, labels, LINES[i % len(LINES)])
+            for name, axes in zip(self.estimators, row, strict=True):
+                self._panel(axes, results, name, labels)
         for axes in grid[-1]:
             axes.set_xlabel(self.x_label)
         for axes in grid[:, 0]:
@@ -210,9 +211,7 @@ class Realisation(FigureSpec):
         )
         return figure
 
-    def _panel(
-        self, axes: Axes, results: Results, name: str, labels: dict[str, Label], line: dict[str, Any]
-    ) -> None:
+    def _panel(self, axes: Axes, results: Results, name: str, labels: dict[str, Label]) -> None:
         series = next(results.select(name, labels=labels))
         unit = series.unit
         record = generate(unit.data, results.seed, self.trial)
@@ -235,7 +234,6 @@ class Realisation(FigureSpec):
         except EstimationError as error:
             axes.text(0.5, 0.5, f"failed: {error}", transform=axes.transAxes, ha="center", wrap=True)
         else:
-            style = {"color": line["color"], "linestyle": line["linestyle"], "linewidth": 1.3, "zorder": 5}
-            axes.plot(u, values, label=name, **style)
+            axes.plot(u, values, label="estimate", **ESTIMATE)
         if self.y_limits is not None:
             axes.set_ylim(*self.y_limits)

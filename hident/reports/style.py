@@ -15,6 +15,7 @@ LINES: tuple[dict[str, Any], ...] = (
     {"color": "#a67c00", "linestyle": (0, (5, 1, 1, 1, 1, 1)), "marker": "v"},
 )
 TRUTH: dict[str, Any] = {"color": "black", "linewidth": 1.4, "zorder": 4}
+ESTIMATE: dict[str, Any] = {"color": "#c1440e", "linewidth": 1.1, "zorder": 5}
 DATA: dict[str, Any] = {"color": "0.62", "marker": ".", "linestyle": "none", "markersize": 3, "zorder": 1}
 
 _SETTINGS: dict[str, Any] = {

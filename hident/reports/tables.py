@@ -69,14 +69,14 @@ class Grid(TableSpec):
             yield "columns", "metric", column.metric
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
-        beside = {id(verdict.series): verdict for verdict in verdicts}
+        beside = {(id(verdict.series), verdict.cell.statistic): verdict for verdict in verdicts}
         others = [axis for axis in results.plan.axes if axis.name != self.rows]
         header = [self.row_header or self.rows]
         shown: list[bool] = []
         for column in self.columns:
             header.append(column.header or column.estimator)
-            shown.append(any(id(s) in beside for s in results.select(column.estimator, column.metric)))
-            shown[-1] &= column.statistic == "mean"
+            series = results.select(column.estimator, column.metric)
+            shown.append(any((id(one), column.statistic) in beside for one in series))
             header += ["printed"] * shown[-1]
         rows = []
         for label in results.labels(self.rows):
@@ -87,10 +87,10 @@ class Grid(TableSpec):
                 }
                 row = [", ".join(map(str, (label, *rest)))]
                 for column, printed in zip(self.columns, shown, strict=True):
-                    series = next(results.select(column.estimator, column.metric, labels), None)
-                    row.append("" if series is None else self._cell(series, column.statistic))
+                    found = next(results.select(column.estimator, column.metric, labels), None)
+                    row.append("" if found is None else self._cell(found, column.statistic))
                     if printed:
-                        verdict = beside.get(id(series))
+                        verdict = beside.get((id(found), column.statistic))
                         row.append(f"{verdict.printed.printed} {_SIGNS[verdict.word]}" if verdict else "")
                 rows.append(tuple(row))
         notes = [_LEGEND, *_intervals(verdicts)] if any(shown) else []
@@ -219,7 +219,7 @@ class Distance(TableSpec):
         ratios: dict[tuple[str, ...], list[float]] = {}
         axes = [axis.name for axis in results.plan.axes if axis.name != self.rows]
         for cell in self.cells:
-            for series in results.select(cell.estimator, cell.metric):
+            for series in results.select(cell.estimator, cell.metric, cell.at):
                 labels = series.unit.labels
                 key = (cell.table, cell.row.format_map(labels), cell.quantity.format_map(labels))
                 if key not in numbers:

@@ -1,0 +1,55 @@
+# The two commands of a new user are `make reproduce-all` and `make test`; each sets up .venv first.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+CONFIGS := $(sort $(wildcard configs/*.yaml))
+
+.PHONY: help setup reproduce-all test lint format bench lock schema clean
+.DEFAULT_GOAL := help
+
+help: ## Show the targets
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
+
+setup: $(VENV)/ready ## Create .venv and install the locked versions into it
+
+$(VENV)/ready: requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "hident needs Python 3.11 or later; name one: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 2; }
+	@echo "setting up $(VENV) from requirements.lock"
+	@$(PYTHON) -m venv --clear $(VENV)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation --no-deps -e .
+	@touch $@
+
+reproduce-all: $(VENV)/ready ## Run every configuration, compare with results/, check the ledger
+	@$(BIN)/hident run $(CONFIGS)
+	@echo
+	@$(BIN)/hident verify out --complete
+	@echo
+	@$(BIN)/hident compare out results --complete
+
+test: $(VENV)/ready ## Run the tests
+	@$(BIN)/python -m pytest
+
+lint: $(VENV)/ready ## Check formatting, style and types
+	@$(BIN)/ruff format --check .
+	@$(BIN)/ruff check .
+	@$(BIN)/mypy
+
+format: $(VENV)/ready ## Format the code
+	@$(BIN)/ruff format .
+	@$(BIN)/ruff check --fix .
+
+bench: $(VENV)/ready ## Measure speed and memory, and print ratios
+	@$(BIN)/python -m tests.benchmarks
+
+schema: $(VENV)/ready ## Write docs/config.schema.json anew
+	@$(BIN)/hident schema > docs/config.schema.json
+
+lock: ## Resolve requirements.lock anew (needs uv)
+	@uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \
+	  --no-header --no-emit-index-url --no-emit-find-links --quiet -o requirements.lock
+
+clean: ## Remove the environment, outputs and caches; results/ and stored trials stay
+	@rm -rf $(VENV) out build *.egg-info .mypy_cache .ruff_cache .hypothesis
+	@find . -name __pycache__ -type d -prune -exec rm -rf {} +
