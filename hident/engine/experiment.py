@@ -28,6 +28,7 @@ from hident.metrics.base import MetricSpec
 
 FORMAT = 1
 Label = str | float | int
+Statistic = Literal["mean", "median", "std"]
 _DATA = tuple(Data.model_fields)
 
 
@@ -44,7 +45,7 @@ class PublishedCells(Spec):
     """Name of the estimator in this file."""
     metric: str
     """Label of the metric."""
-    statistic: Literal["mean", "median", "std"] = "mean"
+    statistic: Statistic = "mean"
     """The statistic over trials that stands beside the printed number."""
     at: dict[str, Any] = {}
     """Labels of axes that limit the correspondence; all by default."""

@@ -19,6 +19,7 @@ _TRIAL = "hident.engine.trial"
 _WORDS = {"hident.config.spec", "hident.config.load", "hident.config.suggest", "hident.errors"}
 
 
+@cache
 def libraries() -> dict[str, str]:
     """The versions of the libraries whose arithmetic the results depend on."""
     return {name: version(name) for name in _LIBRARIES}

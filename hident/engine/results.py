@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hident.engine.experiment import Label, Plan, Unit
+from hident.engine.experiment import Label, Plan, Statistic, Unit
 from hident.records import Array
 
 if TYPE_CHECKING:
@@ -49,6 +49,27 @@ class Series:
             "median": float(np.median(valid)),
             **{name: float(np.quantile(valid, q)) for name, q in QUANTILES.items()},
         }
+
+    def value(self, statistic: Statistic) -> float:
+        """The statistic over the trials that did not fail; nan if there are too few."""
+        return self.statistics[statistic]
+
+    def standard_error(self, statistic: Statistic) -> float:
+        """Standard error of the statistic, by its large-sample formula."""
+        valid, n = self.valid, len(self.valid)
+        if n < 2:
+            return float("nan")
+        match statistic:
+            case "mean":
+                return self.statistics["se"]
+            case "std":
+                variance = float(np.var(valid, ddof=1))
+                fourth = float(np.mean((valid - valid.mean()) ** 4))
+                return float(np.sqrt((fourth - variance**2) / (4.0 * variance * n))) if variance else 0.0
+            case "median":
+                # Half the distance between the order statistics one standard error either side.
+                low, high = np.quantile(valid, 0.5 + 0.5 * np.array([-1.0, 1.0]) / np.sqrt(n))
+                return float(high - low) / 2.0
 
 
 @dataclass(frozen=True, eq=False)

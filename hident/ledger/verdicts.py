@@ -16,11 +16,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from hident.engine.experiment import Published, PublishedCells
+from hident.engine.experiment import Published, PublishedCells, Statistic
 from hident.engine.results import Results, Series
 from hident.errors import ConfigError
 from hident.ledger.published import Printed, read_published, read_reasons
-from hident.records import Array
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -74,7 +73,7 @@ def judge(results: Results) -> tuple[Verdict, ...]:
                     f"{paper / 'published.csv'} has no number for {' / '.join(key)}, which "
                     f"{results.plan.path} names under published"
                 )
-            ours, low, high, interval = _interval(series.valid, cell.statistic, published)
+            ours, low, high, interval = _interval(series, cell.statistic, published)
             word = _word(numbers[key], ours, low, high)
             why = next((r.reason for r in reasons if r.covers(results.plan.name, key)), "")
             reason = why if word == "differs" else ""
@@ -97,44 +96,15 @@ def _word(printed: Printed, ours: float, low: float, high: float) -> Word:
     return "agrees" if low - slack <= printed.value <= high + slack else "differs"
 
 
-def _interval(valid: Array, statistic: str, published: Published) -> tuple[float, float, float, str]:
-    if not len(valid):
-        nan = float("nan")
-        return nan, nan, nan, "no trial succeeded"
-    ours = _statistic(valid, statistic)
-    runs = published.paper_trials
+def _interval(series: Series, statistic: Statistic, published: Published) -> tuple[float, float, float, str]:
+    ours, runs = series.value(statistic), published.paper_trials
+    if not len(series.valid):
+        return ours, ours, ours, "no trial succeeded"
     if runs in ("unknown", 1):
-        low, high = np.quantile(valid, [0.025, 0.975])
+        low, high = np.quantile(series.valid, [0.025, 0.975])
         why = "the paper ran one" if runs == 1 else "the paper does not say how many runs it averages"
         return ours, float(low), float(high), f"central 95 % of single trials: {why}"
-    spread = 1.0 / len(valid) + (0.0 if runs == "exact" else 1.0 / float(runs))
-    reach = 3.0 * _unit_error(valid, statistic) * spread**0.5
-    theirs = "a formula" if runs == "exact" else f"{runs} runs"
-    return ours, ours - reach, ours + reach, f"{statistic} +- 3 standard errors; the paper: {theirs}"
-
-
-def _statistic(valid: Array, statistic: str) -> float:
-    match statistic:
-        case "median":
-            return float(np.median(valid))
-        case "std":
-            return float(np.std(valid, ddof=1)) if len(valid) > 1 else float("nan")
-        case _:
-            return float(np.mean(valid))
-
-
-def _unit_error(valid: Array, statistic: str) -> float:
-    """Standard error of the statistic times the root of the number of trials, for large numbers."""
-    if len(valid) < 2:
-        return float("nan")
-    centred = valid - valid.mean()
-    variance = float(np.var(valid, ddof=1))
-    match statistic:
-        case "median":  # From the density at the median, by the central half of the trials.
-            low, high = np.quantile(valid, [0.25, 0.75])
-            return float(high - low)
-        case "std":
-            fourth = float(np.mean(centred**4))
-            return float(np.sqrt((fourth - variance**2) / (4.0 * variance))) if variance else 0.0
-        case _:
-            return float(variance**0.5)
+    theirs = 0.0 if runs == "exact" else len(series.valid) / float(runs)
+    reach = 3.0 * series.standard_error(statistic) * (1.0 + theirs) ** 0.5
+    source = "a formula" if runs == "exact" else f"{runs} runs"
+    return ours, ours - reach, ours + reach, f"{statistic} +- 3 standard errors; the paper: {source}"

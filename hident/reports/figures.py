@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
 from hident.config.spec import Count, Flag, Real, Spec, component
-from hident.engine.experiment import Label
+from hident.engine.experiment import Label, Statistic
 from hident.engine.results import Results, Series
 from hident.engine.trial import Job, estimate, generate
 from hident.errors import EstimationError
@@ -41,7 +41,7 @@ class Curve(FigureSpec):
     """The axis along the abscissa; its labels are numbers."""
     metric: str
     """Label of the metric."""
-    statistic: Literal["mean", "median", "std"] = "mean"
+    statistic: Statistic = "mean"
     """The statistic drawn as a line."""
     root: Flag = False
     """Draw the square root, as for a mean squared error."""

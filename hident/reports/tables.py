@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from hident.config.spec import Count, Flag, Real, Spec, component
-from hident.engine.experiment import Label, PublishedCells
+from hident.engine.experiment import Label, PublishedCells, Statistic
 from hident.engine.results import Results, Series
 from hident.errors import ConfigError
 from hident.ledger.published import read_published
@@ -23,7 +23,7 @@ _LEGEND = (
     "Beside ours, the printed number: `=` ours rounds to it, `~` it lies in the interval that the trials "
     "give, `!` it differs."
 )
-Statistic = Literal["mean", "std", "se", "median", "spread", "mean_std"]
+Shown = Literal["mean", "std", "se", "median", "spread", "mean_std"]
 
 
 def written(value: float, digits: int = 3) -> str:
@@ -45,7 +45,7 @@ class Column(Spec):
     """Label of the metric."""
     header: str | None = None
     """Heading; the estimator's name by default."""
-    statistic: Statistic = "mean"
+    statistic: Shown = "mean"
     """What is shown: mean, std, se, median, spread (median and quartiles) or mean_std."""
 
 
@@ -69,7 +69,9 @@ class Grid(TableSpec):
             yield "columns", "metric", column.metric
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
-        beside = {(id(verdict.series), verdict.cell.statistic): verdict for verdict in verdicts}
+        beside: dict[tuple[int, str], Verdict] = {
+            (id(verdict.series), verdict.cell.statistic): verdict for verdict in verdicts
+        }
         others = [axis for axis in results.plan.axes if axis.name != self.rows]
         header = [self.row_header or self.rows]
         shown: list[bool] = []
@@ -97,7 +99,7 @@ class Grid(TableSpec):
         failed = _failures(results, self.columns)
         return Table(self.title, tuple(header), tuple(rows), (*notes, *failed))
 
-    def _cell(self, series: Series, statistic: Statistic) -> str:
+    def _cell(self, series: Series, statistic: Shown) -> str:
         s = series.statistics
         match statistic:
             case "spread":
@@ -134,7 +136,7 @@ class Rate(TableSpec):
     """Label of the metric."""
     estimators: tuple[str, ...]
     """Names of the estimators."""
-    statistic: Literal["mean", "median", "std"] = "mean"
+    statistic: Statistic = "mean"
     """The statistic whose rate is sought."""
     root: Flag = False
     """Take the square root first, as for the mean of a squared error."""
@@ -178,9 +180,9 @@ class Rate(TableSpec):
         """Weighted least-squares slope and its standard error, scaled up if the fit is worse than noise."""
         power = 0.5 if self.root else 1.0
         x = np.log([float(series.unit.labels[self.axis]) for series in group])
-        s = [series.statistics for series in group]
-        value = np.array([row[self.statistic] for row in s])
-        relative = np.array([row["se"] for row in s]) / value * power
+        value = np.array([series.value(self.statistic) for series in group])
+        error = np.array([series.standard_error(self.statistic) for series in group])
+        relative = power * error / value
         z = power * np.log(value)
         weight = relative**-2.0
         centred = x - np.average(x, weights=weight)
@@ -225,7 +227,7 @@ class Distance(TableSpec):
                 if key not in numbers:
                     raise ConfigError(f"{paper / 'published.csv'} has no number for {' / '.join(key)}")
                 setting = tuple(str(labels.get(axis, "")) for axis in axes)
-                ratio = series.statistics[cell.statistic] / numbers[key].value
+                ratio = series.value(cell.statistic) / numbers[key].value
                 group = (key[2], cell.metric, cell.statistic, *setting)
                 ratios.setdefault(group, []).append(abs(math.log(ratio)))
         names = ["quantity", "metric", "statistic", *axes]
