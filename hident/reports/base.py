@@ -31,7 +31,7 @@ class Table:
 
     def markdown(self) -> str:
         """The table in Markdown, its columns aligned."""
-        rows = [self.header, *self.rows]
+        rows = [tuple(cell.replace("|", "\\|") for cell in row) for row in (self.header, *self.rows)]
         widths = [max(len(row[i]) for row in rows) for i in range(len(self.header))]
         left = [all(not _is_number(row[i]) for row in self.rows) for i in range(len(widths))]
 
@@ -46,7 +46,7 @@ class Table:
             "-" * width if to_left else "-" * (width - 1) + ":"
             for width, to_left in zip(widths, left, strict=True)
         ]
-        body = [line(self.header), line(rule), *(line(row) for row in self.rows)]
+        body = [line(rows[0]), line(rule), *map(line, rows[1:])]
         return "\n".join([f"## {self.title}", "", *body, *(f"\n{note}" for note in self.notes)])
 
 

@@ -11,10 +11,8 @@ import numpy as np
 from pydantic import Field
 
 from hident.config.spec import Count, Flag, Real, Spec, component
-from hident.engine.experiment import Label, PublishedCells, Statistic
+from hident.engine.experiment import Label, Statistic
 from hident.engine.results import Results, Series
-from hident.errors import ConfigError
-from hident.ledger.published import read_published
 from hident.ledger.verdicts import Verdict
 from hident.reports.base import Reference, Table, TableSpec
 
@@ -192,57 +190,3 @@ class Rate(TableSpec):
         freedom = len(group) - 2
         scatter = float(weight @ residual**2) / freedom if freedom > 0 else 1.0
         return slope, float(np.sqrt(max(1.0, scatter) / information))
-
-
-@component("table", "distance")
-class Distance(TableSpec):
-    """Distance of every setting to the printed numbers: mean absolute log ratio over the rows."""
-
-    rows: str
-    """The axis over which the printed numbers are averaged."""
-    cells: tuple[PublishedCells, ...]
-    """The correspondence of cells; several may name the same printed quantity."""
-    best: Annotated[Count, Field(ge=1)] = 3
-    """How many of the nearest settings of each quantity and metric are shown."""
-
-    def references(self) -> Iterator[Reference]:
-        yield "rows", "axis", self.rows
-        for cell in self.cells:
-            yield "cells", "estimator", cell.estimator
-            yield "cells", "metric", cell.metric
-
-    def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
-        import pandas as pd
-
-        paper = results.plan.paper
-        if paper is None:
-            raise ConfigError(f"{results.plan.path}: the table '{self.title}' needs 'paper:'")
-        numbers = read_published(paper)
-        ratios: dict[tuple[str, ...], list[float]] = {}
-        axes = [axis.name for axis in results.plan.axes if axis.name != self.rows]
-        for cell in self.cells:
-            for series in results.select(cell.estimator, cell.metric, cell.at):
-                labels = series.unit.labels
-                key = (cell.table, cell.row.format_map(labels), cell.quantity.format_map(labels))
-                if key not in numbers:
-                    raise ConfigError(f"{paper / 'published.csv'} has no number for {' / '.join(key)}")
-                setting = tuple(str(labels.get(axis, "")) for axis in axes)
-                ratio = series.value(cell.statistic) / numbers[key].value
-                group = (key[2], cell.metric, cell.statistic, *setting)
-                ratios.setdefault(group, []).append(abs(math.log(ratio)))
-        names = ["quantity", "metric", "statistic", *axes]
-        data = pd.DataFrame(
-            [(*group, float(np.mean(values))) for group, values in ratios.items()],
-            columns=[*names, "distance"],
-        ).sort_values(["quantity", "distance"], ignore_index=True, kind="stable")
-        shown = data.groupby(["quantity", "metric", "statistic"], sort=False).head(self.best)
-        return Table(
-            self.title,
-            tuple(shown.columns),
-            tuple(
-                tuple(v if isinstance(v, str) else f"{v:.3f}" for v in row)
-                for row in shown.itertuples(index=False)
-            ),
-            ("Distance: mean over the rows of |log(ours / printed)|; 0.1 is about 10 %.",),
-            data,
-        )

@@ -1,0 +1,119 @@
+"""Tables of the distance between settings and the printed numbers: which reading of a paper comes closest."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from hident.config.spec import Count, component
+from hident.engine.experiment import PublishedCells
+from hident.engine.results import Results
+from hident.errors import ConfigError
+from hident.ledger.published import read_published
+from hident.ledger.verdicts import Verdict
+from hident.reports.base import Reference, Table, TableSpec
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_NOTE = "Distance: mean over the rows of |log(ours / printed)|; 0.1 is about 10 %."
+
+
+class _Distances(TableSpec):
+    rows: str
+    """The axis over which the printed numbers are averaged."""
+    cells: tuple[PublishedCells, ...]
+    """The correspondence of cells; several may name the same printed quantity."""
+    best: Annotated[Count, Field(ge=1)] = 3
+    """How many of the nearest settings are shown; the CSV holds all."""
+    at: dict[str, Any] = {}
+    """Labels of axes that limit the settings; all by default."""
+
+    def references(self) -> Iterator[Reference]:
+        yield "rows", "axis", self.rows
+        for axis, label in self.at.items():
+            yield "at", "axis", axis
+            yield "at", f"label of {axis}", str(label)
+        for cell in self.cells:
+            yield "cells", "estimator", cell.estimator
+            yield "cells", "metric", cell.metric
+
+    def axes(self, results: Results) -> list[str]:
+        return [axis.name for axis in results.plan.axes if axis.name != self.rows]
+
+    def distances(self, results: Results) -> dict[tuple[str, ...], float]:
+        """The distance by metric, statistic, quantity and labels; '' for an axis that does not matter."""
+        paper = results.plan.paper
+        if paper is None:
+            raise ConfigError(f"{results.plan.path}: the table '{self.title}' needs 'paper:'")
+        numbers = read_published(paper)
+        ratios: dict[tuple[str, ...], list[float]] = {}
+        for cell in self.cells:
+            for series in results.select(cell.estimator, cell.metric, cell.at):
+                labels = series.unit.labels
+                key = (cell.table, cell.row.format_map(labels), cell.quantity.format_map(labels))
+                if key not in numbers:
+                    raise ConfigError(f"{paper / 'published.csv'} has no number for {' / '.join(key)}")
+                if any(str(labels.get(axis, label)) != str(label) for axis, label in self.at.items()):
+                    continue
+                setting = tuple(str(labels.get(axis, "")) for axis in self.axes(results))
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    ratio = abs(np.log(series.value(cell.statistic) / numbers[key].value))
+                ratios.setdefault((cell.metric, cell.statistic, key[2], *setting), []).append(float(ratio))
+        return {group: float(np.mean(values)) for group, values in ratios.items()}
+
+    def table(self, data: pd.DataFrame, shown: pd.DataFrame) -> Table:
+        rows = tuple(
+            tuple(value if isinstance(value, str) else f"{value:.3f}" for value in row)
+            for row in shown.itertuples(index=False)
+        )
+        return Table(self.title, tuple(shown.columns), rows, (_NOTE,), data)
+
+
+@component("table", "distance")
+class Distance(_Distances):
+    """Distance of every setting to the printed numbers, for each printed quantity by itself."""
+
+    def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
+        import pandas as pd
+
+        names = ["metric", "statistic", "quantity", *self.axes(results), "distance"]
+        rows = [(*group, distance) for group, distance in self.distances(results).items()]
+        data = pd.DataFrame(rows, columns=names)
+        data = data[["quantity", *(name for name in names if name != "quantity")]]
+        data = data.sort_values(["quantity", "distance"], ignore_index=True, kind="stable")
+        return self.table(data, data.groupby(["quantity", "metric"], sort=False).head(self.best))
+
+
+@component("table", "joint_distance")
+class JointDistance(_Distances):
+    """Distance of settings that hold for all quantities at once: one reading of the whole table."""
+
+    def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
+        import pandas as pd
+
+        distances = self.distances(results)
+        quantities = list(dict.fromkeys(group[2] for group in distances))
+        scores = list(dict.fromkeys(group[:2] for group in distances))
+        axes = self.axes(results)
+        labels = [[str(label) for label in results.labels(axis)] for axis in axes]
+        # For each quantity, the places of the axes that matter to it.
+        matter = {
+            quantity: [any(g[3 + i] for g in distances if g[2] == quantity) for i in range(len(axes))]
+            for quantity in quantities
+        }
+        rows = []
+        for score, setting in itertools.product(scores, itertools.product(*labels)):
+            found = [
+                distances.get((*score, q, *(v * m for v, m in zip(setting, matter[q], strict=True))))
+                for q in quantities
+            ]
+            if None not in found:
+                rows.append((*score, *setting, *found, float(np.mean(np.array(found, dtype=float)))))
+        names = ["metric", "statistic", *axes, *quantities, "mean"]
+        data = pd.DataFrame(rows, columns=names).sort_values("mean", ignore_index=True, kind="stable")
+        return self.table(data, data.head(self.best))
