@@ -67,9 +67,9 @@ class Series:
                 fourth = float(np.mean((valid - valid.mean()) ** 4))
                 return float(np.sqrt((fourth - variance**2) / (4.0 * variance * n))) if variance else 0.0
             case "median":
-                # Half the distance between the order statistics one standard error either side.
-                low, high = np.quantile(valid, 0.5 + 0.5 * np.array([-1.0, 1.0]) / np.sqrt(n))
-                return float(high - low) / 2.0
+                # From the order statistics two standard errors (of a rank) either side of the median.
+                low, high = np.quantile(valid, np.clip(0.5 + np.array([-1.0, 1.0]) / np.sqrt(n), 0.0, 1.0))
+                return float(high - low) / 4.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,8 @@ def written(value: float, digits: int = 3) -> str:
         return "-"
     if value and not 1e-4 <= abs(value) < 1e7:
         return f"{value:.{digits - 1}e}"
-    decimals = max(0, digits - 1 - math.floor(math.log10(abs(value)))) if value else 0
+    rounded = float(f"{value:.{digits - 1}e}")
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(rounded)))) if value else 0
     return f"{value:.{decimals}f}"
 
 
@@ -70,8 +71,10 @@ class Grid(TableSpec):
         beside: dict[tuple[int, str], Verdict] = {
             (id(verdict.series), verdict.cell.statistic): verdict for verdict in verdicts
         }
-        others = [axis for axis in results.plan.axes if axis.name != self.rows]
-        header = [self.row_header or self.rows]
+        pairs = {(column.estimator, column.metric) for column in self.columns}
+        touching = {axis for pair in pairs for one in results.select(*pair) for axis in one.unit.labels}
+        others = [a for a in results.plan.axes if a.name in touching and a.name != self.rows]
+        header = [", ".join([self.row_header or self.rows, *(axis.name for axis in others)])]
         shown: list[bool] = []
         for column in self.columns:
             header.append(column.header or column.estimator)

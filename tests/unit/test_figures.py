@@ -1,0 +1,86 @@
+"""Figures: what they show, read back from the axes."""
+
+import numpy as np
+import pytest
+from results_maker import PUBLISHED, made
+
+from hident.ledger.verdicts import judge
+from hident.reports.style import style
+
+CURVE = """
+figures:
+  f:
+    kind: curve
+    x: samples
+    metric: mise
+    statistic: median
+    panels: [[one, two]]
+    x_label: N
+    y_label: error
+    slopes: [{slope: -1, label: falls}]
+"""
+REALISATION = """
+figures:
+  f: {kind: realisation, at: [{samples: 10}, {samples: 1000}], estimators: [one, two], interval: [-1, 1]}
+"""
+
+
+@pytest.fixture
+def draw():
+    """Draw the figure ``f`` and close it afterwards."""
+    import matplotlib.pyplot as plt
+
+    with style():
+        yield lambda results: results.plan.experiment.figures["f"].draw(results, judge(results))
+        plt.close("all")
+
+
+def test_a_curve_shows_statistic_band_printed_numbers_and_slope(tmp_path, draw):
+    values = {("one", str(n)): np.linspace(1.0, 2.0, 21) / n for n in (10, 100, 1000)}
+    numbers = "".join(f"T,N={n},error,{2 / n},\n" for n in (10, 100, 1000))
+    rest = CURVE + PUBLISHED.format(runs=1, statistic="median")
+    axes = draw(made(tmp_path, values, rest=rest, printed=numbers)).axes[0]
+    lines = {line.get_label(): line for line in axes.lines}
+    assert list(lines) == ["one", "printed", "two", "falls"]
+    assert lines["one"].get_ydata() == pytest.approx([0.15, 0.015, 0.0015])
+    assert lines["printed"].get_ydata() == pytest.approx([0.2, 0.02, 0.002])
+    assert lines["falls"].get_ydata() == pytest.approx([0.15, 0.015, 0.0015])
+    band = axes.collections[0].get_paths()[0].get_extents()
+    assert (band.y0, band.y1) == pytest.approx((1.05 / 1000, 1.95 / 10))
+    assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("N", "error")
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["one", "two", "falls", "printed"]
+
+
+def test_curves_differ_without_colour(tmp_path, draw):
+    axes = draw(made(tmp_path, {}, rest=CURVE)).axes[0]
+    looks = {(line.get_linestyle(), line.get_marker()) for line in axes.lines[:2]}
+    assert len(looks) == 2
+
+
+def test_a_realisation_shows_data_truth_and_estimate_in_every_panel(tmp_path, draw):
+    figure = draw(made(tmp_path, {}, rest=REALISATION))
+    assert [axes.get_title() for axes in figure.axes] == [
+        "one, samples 10",
+        "two, samples 10",
+        "one, samples 1000",
+        "two, samples 1000",
+    ]
+    for axes, n in zip(figure.axes, (10, 10, 1000, 1000), strict=True):
+        lines = {line.get_label(): line for line in axes.lines}
+        assert list(lines) == ["data", "true μ", "estimate"]
+        assert len(lines["data"].get_xdata()) == n
+        assert lines["true μ"].get_ydata() == pytest.approx(np.linspace(-1, 1, 2001))
+    # The two estimators of a case see the same data.
+    first, second = (axes.lines[0].get_ydata() for axes in figure.axes[:2])
+    assert np.array_equal(first, second)
+
+
+def test_the_truth_is_broken_at_its_jumps(tmp_path, draw):
+    rest = REALISATION.replace("interval: [-1, 1]", "interval: [-1, 1], y_limits: [-2, 2]")
+    results = made(tmp_path, {}, rest=rest, axes="  system.nonlinearity: [sign]\n")
+    axes = draw(results).axes[0]
+    true = axes.lines[1].get_ydata()
+    assert np.isnan(true).sum() == 1
+    assert np.isnan(true[1000])
+    assert axes.get_ylim() == (-2, 2)

@@ -1,0 +1,145 @@
+"""Tables of table.md."""
+
+import numpy as np
+import pytest
+from results_maker import PUBLISHED, made
+
+from hident.ledger.verdicts import judge
+from hident.reports.base import Table
+from hident.reports.tables import written
+
+GRID = """
+tables:
+  t:
+    kind: grid
+    title: Errors
+    rows: samples
+    row_header: N
+    columns: [{estimator: one, metric: mise}, {estimator: two, metric: mise, statistic: spread}]
+"""
+AXES = "  gain:\n    small: {system.linear.b0: 1}\n    large: {system.linear.b0: 2}\n"
+
+
+def built(results, name="t"):
+    return results.plan.experiment.tables[name].build(results, judge(results))
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (37.3712, "37.4"),
+        (0.22012, "0.220"),
+        (34003.2, "34003"),
+        (0.0, "0"),
+        (1.2954e7, "1.30e+07"),
+        (-6.96e-5, "-6.96e-05"),
+        (float("nan"), "-"),
+        (float("inf"), "-"),
+        (9.9996, "10.0"),
+    ],
+)
+def test_numbers_keep_three_digits(value, text):
+    assert written(value) == text
+
+
+def test_a_grid_without_printed_numbers(tmp_path):
+    table = built(made(tmp_path, {("one", "10"): [1.0, 3.0]}, rest=GRID))
+    assert table.header == ("N", "one", "two")
+    assert table.rows[0] == ("10", "2.00", "1.00 [1.00, 1.00]")
+    assert table.notes == ()
+
+
+def test_printed_numbers_stand_beside_ours_with_their_verdict(tmp_path):
+    numbers = "T,N=10,error,2.0,\nT,N=100,error,1.5,\nT,N=1000,error,1.0,\n"
+    values = {("one", "10"): [1.0, 3.0], ("one", "100"): [1.0, 1.6]}
+    rest = GRID + PUBLISHED.format(runs=1, statistic="mean")
+    table = built(made(tmp_path, values, rest=rest, printed=numbers))
+    assert table.header == ("N", "one", "printed", "two")
+    assert [row[2] for row in table.rows] == ["2.0 =", "1.5 ~", "1.0 ="]
+    assert "Interval: central 95 % of single trials: the paper ran one." in table.notes
+
+
+def test_printed_numbers_stand_beside_their_own_statistic_only(tmp_path):
+    numbers = "".join(f"T,N={n},error,1.0,\n" for n in (10, 100, 1000))
+    rest = GRID + PUBLISHED.format(runs=1, statistic="median")
+    assert built(made(tmp_path, {}, rest=rest, printed=numbers)).header == ("N", "one", "two")
+
+
+def test_other_axes_go_down_with_the_rows(tmp_path):
+    table = built(made(tmp_path, {}, rest=GRID, axes=AXES))
+    assert table.header[0] == "N, gain"
+    assert [row[0] for row in table.rows][:3] == ["10, small", "10, large", "100, small"]
+
+
+def test_failed_trials_are_said(tmp_path):
+    table = built(made(tmp_path, {("one", "10"): [1.0, np.nan, np.inf]}, rest=GRID))
+    assert table.rows[0][1] == "1.00"
+    assert table.notes == (
+        "2 of 3 trials of estimator 'one' at samples 10 failed and are left out of the statistics.",
+    )
+
+
+RATE = """
+tables:
+  t: {kind: rate, title: R, axis: samples, metric: mise, estimators: [one], root: ROOT, expected: EXPECTED}
+"""
+
+
+@pytest.mark.parametrize(("root", "slope"), [("false", -0.8), ("true", -0.4)])
+def test_a_rate_is_found_within_its_standard_error(tmp_path, root, slope):
+    rng = np.random.default_rng(3)
+    values = {("one", str(n)): n**-0.8 * rng.normal(1.0, 0.1, 500) for n in (10, 100, 1000)}
+    rest = RATE.replace("ROOT", root).replace("EXPECTED", str(slope))
+    row = built(made(tmp_path, values, rest=rest)).data.iloc[0]
+    assert row["slope"] == pytest.approx(slope, abs=4 * row["standard_error"])
+    # Three points with relative standard error 0.1/sqrt(500), evenly spaced in log N.
+    expected = 0.1 / 500**0.5 / (np.log(10.0) * 2**0.5) * (0.5 if root == "true" else 1.0)
+    assert expected * 0.9 < row["standard_error"] < 4 * expected
+
+
+def test_an_exact_power_has_its_slope(tmp_path):
+    values = {("one", str(n)): np.array([0.9, 1.0, 1.1]) * n**-0.5 for n in (10, 100, 1000)}
+    rest = RATE.replace("ROOT", "false").replace("EXPECTED", "-1/2")
+    assert built(made(tmp_path, values, rest=rest)).data.iloc[0]["slope"] == pytest.approx(-0.5, abs=1e-12)
+
+
+DISTANCE = """
+tables:
+  t: {kind: KIND, title: D, rows: samples, best: 5, cells: [
+    {table: T, row: "N={samples}", quantity: error, estimator: one, metric: mise},
+    {table: T, row: "N={samples}", quantity: other, estimator: two, metric: mise}]}
+"""
+BOTH = "".join(f"T,N={n},{q},1.0,\n" for n in (10, 100, 1000) for q in ("error", "other"))
+WIDTHS = "  width:\n    a: {estimators.one.bandwidth.h0: 1}\n    b: {estimators.one.bandwidth.h0: 2}\n"
+
+
+def test_distances_are_mean_absolute_log_ratios(tmp_path):
+    values = {("one", "10"): [np.e, np.e], ("one", "100"): [1 / np.e, 1 / np.e]}
+    rest = DISTANCE.replace("KIND", "distance")
+    data = built(made(tmp_path, values, rest=rest, axes=WIDTHS, printed=BOTH)).data
+    assert list(data["quantity"]) == ["error", "error", "other"]
+    assert list(data["width"]) == ["a", "b", ""]
+    assert data["distance"].to_numpy() == pytest.approx([2 / 3, 2 / 3, 0.0])
+
+
+def test_a_joint_distance_holds_for_all_quantities(tmp_path):
+    values = {("one", "10"): [np.e, np.e]}
+    rest = DISTANCE.replace("KIND", "joint_distance")
+    data = built(made(tmp_path, values, rest=rest, axes=WIDTHS, printed=BOTH)).data
+    assert list(data.columns) == ["metric", "statistic", "width", "error", "other", "mean"]
+    assert len(data) == 2
+    assert data["mean"].to_numpy() == pytest.approx([1 / 6, 1 / 6])
+
+
+def test_markdown_is_aligned_and_bars_are_escaped():
+    table = Table("T", ("name", "value"), (("|u|", "1.5"), ("b", "-10")), ("a note",))
+    assert table.markdown().splitlines() == [
+        "## T",
+        "",
+        "| name  | value |",
+        "| ----- | ----: |",
+        r"| \|u\| |   1.5 |",
+        "| b     |   -10 |",
+        "",
+        "a note",
+    ]
