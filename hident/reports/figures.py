@@ -126,12 +126,13 @@ class Curve(FigureSpec):
             axes.plot(
                 *zip(*printed, strict=True),
                 linestyle="none",
-                marker="x",
-                markersize=6,
-                markeredgewidth=1.4,
-                color="black",
+                marker=line["marker"],
+                markersize=8,
+                markerfacecolor="none",
+                markeredgewidth=1.3,
+                color=line["color"],
                 zorder=5,
-                label=None if "printed" in axes.get_legend_handles_labels()[1] else "printed",
+                label=f"{name}, printed",
             )
 
     def _finish(self, axes: Axes, first: Sequence[Series]) -> None:
@@ -150,11 +151,7 @@ class Curve(FigureSpec):
                 linewidth=1.0,
                 label=reference.label,
             )
-        # The printed numbers come last, whichever curve was drawn first.
-        entries = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
-        if "printed" in entries:
-            entries["printed"] = entries.pop("printed")
-        axes.legend(entries.values(), entries.keys())
+        axes.legend()
 
 
 @component("figure", "realisation")

@@ -1,10 +1,11 @@
-"""What a run writes to its folder, each file by a temporary one and a rename."""
+"""What a run writes to its folder: made beside it, and moved in when all files are there."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import platform
+import shutil
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -22,9 +23,11 @@ from hident.engine.runner import unit_key
 from hident.engine.trial import digest
 from hident.errors import StoreError
 from hident.ledger.verdicts import Verdict, frame, judge
-from hident.reports.base import FigureSpec, Table, TableSpec, write_text
+from hident.reports.base import FigureSpec, Table, TableSpec
 from hident.reports.style import style
 
+CRASHES = "crashes.txt"
+"""What a crashed run leaves in its folder."""
 _PACKAGES = ("numpy", "scipy", "finufft", "pandas", "matplotlib", "pydantic")
 
 
@@ -73,19 +76,36 @@ def write(results: Results, folder: Path, run: Mapping[str, Any]) -> None:
         for name, spec in experiment.tables.items()
         if isinstance(spec, TableSpec)
     }
+    staged = folder / ".new"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        before = _listed(folder)
-        files = _write_text_files(results, verdicts, tables, folder)
-        files += _write_figures(results, verdicts, folder)
-        write_text(folder / "run.json", _run_json(results, folder, files, run))
-        for stale in before - set(files) - {"run.json"}:
+        shutil.rmtree(staged, ignore_errors=True)
+        staged.mkdir(parents=True)
+        files = _write_text_files(results, verdicts, tables, staged)
+        files += _write_figures(results, verdicts, staged)
+        _write_text(staged / "run.json", _run_json(results, staged, files, run))
+        for stale in {*_listed(folder), CRASHES} - set(files):
             (folder / stale).unlink(missing_ok=True)
+        for name in (*files, "run.json"):
+            (staged / name).replace(folder / name)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise StoreError(
-            f"{folder} cannot be written ({reason}); all trials are kept: run again with --out, or make room"
+            f"{error.filename2 or folder} cannot be written ({reason}). All trials are kept: make room for "
+            "the outputs, or name another folder with --out, and run again"
         ) from None
+    finally:
+        shutil.rmtree(staged, ignore_errors=True)
+
+
+def keep_tracebacks(tracebacks: str, folder: Path) -> Path | None:
+    """Write the tracebacks of crashes to a file; None if that is impossible."""
+    path = folder / CRASHES
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _write_text(path, tracebacks)
+    except OSError:
+        return None
+    return path
 
 
 def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str, Table]) -> str:
@@ -117,8 +137,12 @@ def _write_text_files(
         texts["verdicts.csv"] = frame(verdicts).to_csv(index=False, lineterminator="\n")
     texts["table.md"] = markdown(results, verdicts, tables)
     for name, text in texts.items():
-        write_text(folder / name, text)
+        _write_text(folder / name, text)
     return list(texts)
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8", newline="\n")
 
 
 def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) -> list[str]:
@@ -129,11 +153,9 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
             import matplotlib.pyplot as plt
 
             figure = spec.draw(results, verdicts)
-            temporary = folder / f".{name}.part"
             # Without the writer's version in it, the file depends on what it shows alone.
-            figure.savefig(temporary, format="png", metadata={"Software": None})
+            figure.savefig(folder / f"{name}.png", metadata={"Software": None})
             plt.close(figure)
-        temporary.replace(folder / f"{name}.png")
         names.append(f"{name}.png")
     return names
 

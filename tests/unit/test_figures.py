@@ -41,15 +41,15 @@ def test_a_curve_shows_statistic_band_printed_numbers_and_slope(tmp_path, draw):
     rest = CURVE + PUBLISHED.format(runs=1, statistic="median")
     axes = draw(made(tmp_path, values, rest=rest, printed=numbers)).axes[0]
     lines = {line.get_label(): line for line in axes.lines}
-    assert list(lines) == ["one", "printed", "two", "falls"]
+    assert list(lines) == ["one", "one, printed", "two", "falls"]
     assert lines["one"].get_ydata() == pytest.approx([0.15, 0.015, 0.0015])
-    assert lines["printed"].get_ydata() == pytest.approx([0.2, 0.02, 0.002])
+    assert lines["one, printed"].get_ydata() == pytest.approx([0.2, 0.02, 0.002])
     assert lines["falls"].get_ydata() == pytest.approx([0.15, 0.015, 0.0015])
     band = axes.collections[0].get_paths()[0].get_extents()
     assert (band.y0, band.y1) == pytest.approx((1.05 / 1000, 1.95 / 10))
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("N", "error")
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["one", "two", "falls", "printed"]
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == list(lines)
 
 
 def test_curves_differ_without_colour(tmp_path, draw):
