@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
-from hident.config.spec import Count, Flag, Real, component
+from hident.config.spec import Count, Flag, Of, Real, component
 from hident.config.suggest import one_of
 from hident.records import Array
 from hident.signals.base import ExcitationSpec
+from hident.systems.linear import LinearSpec
 
 # Feedback stages of maximal-length shift registers (Alfke 1996, Xilinx XAPP 052).
 _TAPS: dict[int, tuple[int, ...]] = {
@@ -81,7 +82,10 @@ class _Random(ExcitationSpec):
             return self.mean + self.std * rng.standard_normal(count)
         assert interval is not None  # by validation
         low, high = interval
-        return low + (high - low) * rng.random(count)
+        drawn = rng.random(count)
+        drawn *= high - low
+        drawn += low
+        return drawn
 
 
 @component("excitation", "iid")
@@ -105,7 +109,8 @@ class Iid(_Random):
 
     def sample(self, n: int, dt: float, rng: np.random.Generator, burn_in: int = 0) -> Array:
         interval = None if self.low is None or self.high is None else (self.low, self.high)
-        return np.roll(self._draw(burn_in + n, rng, interval), burn_in)
+        drawn = self._draw(burn_in + n, rng, interval)
+        return np.concatenate((drawn[n:], drawn[:n]))
 
 
 @component("excitation", "multistep", source="Chen, Hwang, Chang 2009, simulated examples")
@@ -265,6 +270,44 @@ class Multisine(ExcitationSpec):
         spectrum[harmonics] = self.period * self.rms / np.sqrt(2 * len(harmonics)) * np.exp(1j * phases)
         wave = np.fft.irfft(spectrum, self.period)
         return self.offset + wave[_times(n, burn_in) % self.period]
+
+
+@component("excitation", "filtered", source="Wang, Zhang, Ljung 2009, example 1")
+class Filtered(ExcitationSpec):
+    """Another excitation after a linear block.
+
+    A block that starts from ``zero`` or from past outputs does so at time 0, as if nothing had come before:
+    the samples before the record are those past outputs, and zero before them. A ``stationary`` block is
+    driven for its burn-in beforehand; a random excitation then begins that much earlier.
+    """
+
+    excitation: Annotated[ExcitationSpec, Of("excitation")]
+    """The excitation that drives the block."""
+    linear: Annotated[LinearSpec, Of("linear")]
+    """The block: its output is applied to the system."""
+
+    def check(self, n: int, dt: float) -> None:
+        self.excitation.check(n, dt)
+
+    def sample(self, n: int, dt: float, rng: np.random.Generator, burn_in: int = 0) -> Array:
+        if self.linear.initial != "stationary":
+            past = () if self.linear.initial == "zero" else self.linear.initial[:burn_in]
+            before = np.zeros(burn_in)
+            before[burn_in - len(past) :] = past[::-1]
+            return np.concatenate((before, self.linear.simulate(self.excitation.sample(n, dt, rng))))
+        settling = self.linear.burn_in()
+        # What a random excitation draws for the time before its record depends on the length of both.
+        lead = settling if _is_random(self.excitation) else 0
+        driving = self.excitation.sample(lead + n, dt, rng, burn_in + settling - lead)
+        parts = driving[: burn_in + settling], driving[burn_in:]
+        return np.concatenate([self.linear.simulate(part)[settling:] for part in parts])
+
+
+def _is_random(excitation: ExcitationSpec) -> bool:
+    """Whether the excitation, or the one that it filters, is made of independent values."""
+    while isinstance(excitation, Filtered):
+        excitation = excitation.excitation
+    return isinstance(excitation, _Random)
 
 
 def maximal_sequence(register: NDArray[np.uint8]) -> NDArray[np.uint8]:

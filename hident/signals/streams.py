@@ -23,6 +23,10 @@ class StreamsSpec(Component):
     fixed: tuple[Literal["system", "input", "noise"], ...] = ()
     """Streams that start anew in every trial: the same draws in all trials (e.g. [input])."""
 
+    def is_fixed(self, role: Role) -> bool:
+        """Whether the role draws the same numbers in all trials."""
+        return role in self.fixed
+
     def generator(self, role: Role, seed: int, key: int, trial: int) -> np.random.Generator:
         """The generator of one role in one trial; ``key`` is the hash of what the stream belongs to."""
         raise NotImplementedError
@@ -33,6 +37,6 @@ class NumpyStreams(StreamsSpec):
     """NumPy's PCG64, seeded by SeedSequence with spawn keys."""
 
     def generator(self, role: Role, seed: int, key: int, trial: int) -> np.random.Generator:
-        number = 0 if role in self.fixed else trial + 1
+        number = 0 if self.is_fixed(role) else trial + 1
         sequence = np.random.SeedSequence([seed, key], spawn_key=(_ROLES.index(role), number))
         return np.random.Generator(np.random.PCG64(sequence))

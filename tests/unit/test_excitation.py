@@ -12,8 +12,22 @@ from scipy import stats
 
 from hident.config.spec import Of, Spec, components
 from hident.signals.base import ExcitationSpec
-from hident.signals.excitation import Iid, Multisine, Multistep, Prbs, Sine, Staircase, maximal_sequence
+from hident.signals.excitation import (
+    Filtered,
+    Iid,
+    Multisine,
+    Multistep,
+    Prbs,
+    Sine,
+    Staircase,
+    maximal_sequence,
+)
+from hident.signals.matlab5 import Rand
+from hident.signals.matlab5_streams import Matlab5Streams
+from hident.systems.linear import Ar, Fir, TransferFunction
 
+AR = Ar(a=(0.5, 0.2))
+AT_REST = Ar(a=(0.5, 0.2), initial="zero")
 ONE_OF_EACH: dict[str, ExcitationSpec] = {
     "iid uniform": Iid(distribution="uniform", low=-2.0, high=3.0),
     "iid gaussian": Iid(distribution="gaussian", mean=1.0, std=2.0),
@@ -24,8 +38,18 @@ ONE_OF_EACH: dict[str, ExcitationSpec] = {
     "sine": Sine(amplitude=2.0, offset=0.5, period=1.7, phase=0.3),
     "staircase": Staircase(levels=(1.0, -2.0, 0.5), hold=1.3),
     "multisine": Multisine(period=16, rms=1.5, grid="odd", offset=-1.0),
+    "filtered iid": Filtered(excitation=Iid(distribution="gaussian", std=1.0), linear=AR),
+    "filtered multistep": Filtered(excitation=Multistep(std=2.0, switching_time=0.35), linear=AR),
+    "filtered prbs": Filtered(excitation=Prbs(order=5), linear=AR),
+    "filtered sine": Filtered(excitation=Sine(period=1.7), linear=Fir(b=(0.0, 1.0, 2.0))),
+    "filtered from rest": Filtered(excitation=Iid(distribution="gaussian", std=1.0), linear=AT_REST),
+    "filtered from a past": Filtered(excitation=Prbs(order=5), linear=Ar(a=(0.5, 0.2), initial=(1.0, -1.0))),
+    "filtered twice": Filtered(
+        excitation=Filtered(excitation=Iid(distribution="gaussian", std=1.0), linear=AR),
+        linear=Fir(b=(1.0, 2.0)),
+    ),
 }
-DETERMINISTIC = {"prbs ones", "sine", "staircase"}
+DETERMINISTIC = {"prbs ones", "sine", "staircase", "filtered sine"}
 
 
 def rng(seed=0):
@@ -328,7 +352,7 @@ def test_staircase_needs_the_samples_that_its_message_names(levels, hold, dt):
 
 
 def test_staircase_messages():
-    message = "Tuple should have at least 1 item after validation, not 0"
+    message = "must be a list of at least 1"
     assert refused(Staircase, levels=[], hold=1) == message
     assert refused(Staircase, levels=[1], hold=-1) == "must be greater than 0"
 
@@ -382,3 +406,87 @@ def test_multisine_messages():
     assert refused(Multisine, period=10, rms=1, highest=5) == message
     assert refused(Multisine, period=2, rms=1) == "must be greater than or equal to 3"
     assert refused(Multisine, period=10, rms=0) == "must be greater than 0"
+
+
+# --- filtered
+
+
+def test_filtered_from_rest_is_the_recursion_on_the_sources_record():
+    source = Iid(distribution="uniform", low=-3.0, high=3.0)
+    spec = Filtered(excitation=source, linear=Ar(a=(0.5,), initial="zero"))
+    x, w = spec.sample(50, 1.0, rng(1), burn_in=7), 6 * rng(1).random(50) - 3
+    np.testing.assert_array_equal(x[:7], 0)
+    np.testing.assert_allclose(x[7], w[0], atol=1e-15)
+    np.testing.assert_allclose(x[8:], 0.5 * x[7:-1] + w[1:], atol=1e-14)
+
+
+def test_filtered_input_of_wang_zhang_ljung():
+    spec = Filtered(
+        excitation=Iid(distribution="uniform", low=-3, high=3), linear=Ar(a=(0.5,), initial="zero")
+    )
+    expected = TransferFunction(a=(0.5,)).filter(6 * Rand(1).random(100) - 3)
+    streams = Matlab5Streams.model_validate({"input": {"state": 1}})
+    found = spec.sample(100, 1.0, streams.generator("input", 0, 0, 0))
+    np.testing.assert_allclose(found, expected, rtol=1e-14)
+    printed = [2.716692897939691, 2.582719449619831, 4.014624566363304, 2.596263428214787, 3.342590902785814]
+    np.testing.assert_allclose(found[:5], printed, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("burn_in", "before"), [(0, []), (1, [1.0]), (2, [-3.0, 1.0]), (4, [0.0, 0.0, -3.0, 1.0])]
+)
+def test_filtered_from_past_outputs_has_them_before_the_record(burn_in, before):
+    spec = Filtered(excitation=Prbs(order=5), linear=Ar(a=(0.5, 0.2), initial=(1.0, -3.0)))
+    x, w = spec.sample(10, 1.0, rng(2), burn_in), Prbs(order=5).sample(10, 1.0, rng(2))
+    np.testing.assert_array_equal(x[:burn_in], before)
+    assert x[burn_in] == pytest.approx(0.5 * 1.0 + 0.2 * -3.0 + w[0], abs=1e-14)
+    assert x[burn_in + 1] == pytest.approx(0.5 * x[burn_in] + 0.2 * 1.0 + w[1], abs=1e-14)
+
+
+@pytest.mark.parametrize("burn_in", [0, 5, 300])
+@pytest.mark.parametrize("name", ["filtered iid", "filtered prbs", "filtered multistep", "filtered sine"])
+def test_filtered_stationary_obeys_the_block_from_the_burn_in_on(name, burn_in):
+    spec = ONE_OF_EACH[name]
+    assert isinstance(spec, Filtered)
+    settling = spec.linear.burn_in()
+    x = spec.sample(200, 0.1, rng(3), burn_in)
+    lead = 0 if name in ("filtered prbs", "filtered sine") else settling
+    w = spec.excitation.sample(200 + lead, 0.1, rng(3), burn_in + settling - lead)
+    expected = spec.linear.transfer_function().filter(w)[settling:]
+    np.testing.assert_allclose(x, expected, rtol=1e-12, atol=1e-13)
+
+
+def test_filtered_stationary_is_stationary_from_the_first_sample_on():
+    spec = Filtered(excitation=Iid(distribution="gaussian", std=1.0), linear=Ar(a=(0.9,)))
+    generator = rng(4)
+    drawn = np.array([spec.sample(3, 1.0, generator, burn_in=2) for _ in range(4000)])
+    law = stats.norm(0, 1 / math.sqrt(1 - 0.9**2))
+    for column in drawn.T:
+        assert stats.kstest(column, law.cdf).pvalue > 0.01
+    np.testing.assert_allclose(np.corrcoef(drawn.T)[0], 0.9 ** np.arange(5), atol=0.03)
+
+
+@settings(deadline=None, derandomize=True, max_examples=30)
+@given(frequency=st.floats(0.01, 3), a=st.floats(-0.9, 0.9), burn_in=st.integers(0, 50))
+def test_filtered_sine_is_the_frequency_response(frequency, a, burn_in):
+    spec = Filtered(excitation=Sine(frequency=frequency), linear=Ar(a=(a,)))
+    response = 1 / (1 - a * np.exp(-1j * frequency))
+    t = np.arange(-burn_in, 60)
+    expected = np.abs(response) * np.sin(frequency * t + np.angle(response))
+    np.testing.assert_allclose(spec.sample(60, 1.0, rng(), burn_in), expected, atol=1e-11)
+
+
+def test_filtered_passes_on_what_its_source_checks():
+    source = Multisine(period=20, rms=1.0, whole_periods=True)
+    assert not_whole(Filtered(excitation=source, linear=AR), 50, 1.0) == not_whole(source, 50, 1.0)
+
+
+def test_filtered_messages():
+    linear = {"kind": "ar", "a": [0.5]}
+    message = "is required: The excitation that drives the block"
+    assert refused(Filtered, linear=linear) == message
+    message = "is required: The block: its output is applied to the system"
+    assert refused(Filtered, excitation={"kind": "sine", "period": 3}) == message
+    excitation = {"kind": "sine", "period": 3}
+    message = "is unstable: poles 1.5 lie on or outside the unit circle"
+    assert refused(Filtered, excitation=excitation, linear={"kind": "ar", "a": [1.5]}) == message

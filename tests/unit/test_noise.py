@@ -236,7 +236,7 @@ def test_unstable_noise_is_refused_with_its_poles():
     assert refused(Autoregressive, a=[1.7, -0.6], std=1) == message.format("1.2")
     assert refused(Autoregressive, a=[1], std=1) == message.format("1")
     assert refused(Autoregressive, a=[1, -1.25], std=1) == message.format("0.5+1j, 0.5-1j")
-    message = "Tuple should have at least 1 item after validation, not 0"
+    message = "must be a list of at least 1"
     assert refused(Autoregressive, a=[], std=1) == message
 
 

@@ -1,0 +1,204 @@
+"""Streams: which numbers each role draws in each trial."""
+
+import math
+from typing import Annotated, get_args
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from hident.config.expression import FUNCTIONS
+from hident.config.spec import Of, Spec, canonical
+from hident.engine.trial import Data, generate
+from hident.signals import matlab5_streams  # noqa: F401  (registers the kind)
+from hident.signals.excitation import Filtered, Iid, Prbs
+from hident.signals.matlab5 import Rand, Randn, twister
+from hident.signals.noise import White
+from hident.signals.streams import NumpyStreams, Role, StreamsSpec
+from hident.systems.blocks import Hammerstein
+from hident.systems.linear import Ar, Fir
+from hident.systems.nonlinearity import Expression
+
+ROLES: tuple[Role, ...] = get_args(Role)
+SEED, KEY = 1, 2**100 + 5
+
+
+class Case(Spec):
+    """What streams stand in."""
+
+    streams: Annotated[StreamsSpec, Of("streams")]
+
+
+def matlab5(**fields):
+    return Case.model_validate({"streams": {"kind": "matlab5", **fields}}).streams
+
+
+def refused(**fields):
+    """The place and the message with which the fields are refused."""
+    with pytest.raises(ValidationError) as caught:
+        matlab5(**fields)
+    (detail,) = caught.value.errors()
+    return ".".join(map(str, detail["loc"])), detail["msg"]
+
+
+def draws(streams, role, trial, seed=SEED, key=KEY):
+    return tuple(streams.generator(role, seed, key, trial).random(3))
+
+
+# --- numpy
+
+
+def test_numpy_streams_differ_by_role_trial_seed_and_key():
+    streams = NumpyStreams()
+    everything = {
+        draws(streams, role, trial, seed, key)
+        for role in ROLES
+        for trial in range(3)
+        for seed in (1, 2)
+        for key in (3, 4)
+    }
+    assert len(everything) == 4 * 3 * 2 * 2
+
+
+def test_numpy_streams_start_anew_where_fixed():
+    streams = NumpyStreams(fixed=("input",))
+    assert draws(streams, "input", 0) == draws(streams, "input", 1)
+    assert draws(streams, "noise", 0) != draws(streams, "noise", 1)
+    assert [role for role in ROLES if streams.is_fixed(role)] == ["input"]
+
+
+# --- matlab5
+
+
+@pytest.mark.parametrize("trial", [0, 1, 99])
+def test_states_are_those_of_the_formulas(trial):
+    streams = matlab5(
+        input={"state": 1}, noise={"state": "100 + trial"}, system={"state": "2**trial / 2**trial"}
+    )
+    for role, state in [("input", 1), ("noise", 101 + trial), ("system", 1)]:
+        stream = streams.generator(role, SEED, KEY, trial)
+        np.testing.assert_array_equal(stream.random(20), Rand(state).random(20))
+        np.testing.assert_array_equal(stream.standard_normal(20), Randn(state).standard_normal(20))
+
+
+def test_the_first_trial_has_the_number_one():
+    stream = matlab5(noise={"state": "trial"}).generator("noise", SEED, KEY, 0)
+    np.testing.assert_array_equal(stream.standard_normal(9), Randn(1).standard_normal(9))
+
+
+def test_uniform_numbers_may_come_from_the_twister():
+    streams = matlab5(input={"state": "trial", "generator": "twister"})
+    stream = streams.generator("input", SEED, KEY, 4)
+    np.testing.assert_array_equal(stream.random(20), twister(5).random(20))
+    np.testing.assert_array_equal(stream.standard_normal(20), Randn(5).standard_normal(20))
+
+
+@settings(deadline=None, derandomize=True, max_examples=20)
+@given(seed=st.integers(0, 99), key=st.integers(0, 2**128), trial=st.integers(0, 99))
+def test_given_states_depend_on_the_trial_only_and_other_roles_are_those_of_numpy(seed, key, trial):
+    streams = matlab5(input={"state": 3}, fixed=["system"])
+    assert draws(streams, "input", trial, seed, key) == tuple(Rand(3).random(3))
+    plain = NumpyStreams(fixed=("system",))
+    for role in ("system", "noise", "estimator"):
+        assert draws(streams, role, trial, seed, key) == draws(plain, role, trial, seed, key)
+
+
+def test_a_role_is_fixed_if_its_state_does_not_depend_on_the_trial():
+    streams = matlab5(input={"state": "3*7"}, noise={"state": "trial"}, fixed=["system"])
+    assert [role for role in ROLES if streams.is_fixed(role)] == ["system", "input"]
+    assert matlab5(input={"state": 1}, fixed=["input"]).is_fixed("input")
+
+
+def test_each_call_starts_the_stream_anew():
+    streams = matlab5(input={"state": 1})
+    assert draws(streams, "input", 0) == draws(streams, "input", 0)
+
+
+def test_the_states_belong_to_the_hash_of_the_data():
+    given = canonical(matlab5(input={"state": 1}, noise={"state": "trial"}))
+    assert given == {"kind": "matlab5", "input": {"state": 1}, "noise": {"state": "trial"}}
+
+
+def test_the_data_of_wang_zhang_ljung():
+    data = Data(
+        samples=100,
+        system=Hammerstein(
+            nonlinearity=Expression(expression="u + 2*u**2 + 5*u**3 + 7*u**4 + u**5"),
+            linear=Fir(b=(0.0, 1 / math.sqrt(5), -2 / math.sqrt(5)), initial="zero"),
+        ),
+        excitation=Filtered(
+            excitation=Iid(distribution="uniform", low=-3.0, high=3.0),
+            linear=Ar(a=(0.5,), initial="zero"),
+        ),
+        noise=(White(std=1.0),),
+        streams=matlab5(input={"state": 1}, noise={"state": "trial"}),
+    )
+    # Table 1, W = I, of the paper: mean and standard deviation of a and b over 100 trials.
+    estimates = []
+    for trial in range(100):
+        record = generate(data, seed=trial, trial=trial)
+        powers = record.u[:, None] ** np.arange(1, 6)
+        regressors = np.hstack((powers[1:-1], powers[:-2]))
+        theta = np.linalg.lstsq(regressors, record.y[2:], rcond=None)[0].reshape(2, 5)
+        left, singular, right = np.linalg.svd(theta)
+        sign = np.sign(left[0, 0])
+        estimates.append([*sign * left[:, 0], *sign * singular[0] * right[0]])
+    mean, std = np.mean(estimates, axis=0), np.std(estimates, axis=0, ddof=1)
+    np.testing.assert_array_equal(mean.round(4), [0.4473, -0.8944, 0.9895, 1.9932, 5.0016, 7.0004, 0.9998])
+    np.testing.assert_array_equal(std.round(4), [0.0013, 0.0006, 0.1599, 0.0777, 0.0477, 0.0058, 0.0027])
+
+
+def test_a_random_start_of_a_prbs_can_be_drawn():
+    streams = matlab5(input={"state": "trial"})
+    records = [Prbs(order=5).sample(40, 1.0, streams.generator("input", 0, 0, trial)) for trial in range(20)]
+    assert all(set(u) == {-1.0, 1.0} for u in records)
+    assert len({tuple(u) for u in records}) > 10
+
+
+# --- messages
+
+
+def test_messages():
+    place = "streams.noise.state"
+    kind = "must be a whole number, or a formula in the trial's number such as '100 + trial'"
+    limits = "a state is a whole number from 0 to 4294967295, not "
+    for value in (1.5, True, None, [1]):
+        assert refused(noise={"state": value}) == (place, kind)
+    assert refused(noise={"state": -1}) == (place, limits + "-1")
+    assert refused(noise={"state": 2**32}) == (place, limits + "4294967296")
+    assert refused(noise={"state": "trial/2"}) == (
+        place,
+        limits + "0.5 (the formula 'trial/2' in trial 1)",
+    )
+    assert refused(noise={"state": "1/0"}) == (place, limits + "inf (the formula '1/0' in trial 1)")
+    assert refused(noise={"state": "trail"}) == (
+        place,
+        "unknown name 'trail' in the formula 'trail'; did you mean 'trial'? "
+        f"(allowed: trial, pi, e and the functions {', '.join(FUNCTIONS)})",
+    )
+    assert refused(noise={}) == (
+        place,
+        "is required: State from 0 to 2^32 - 1: fixed, or a formula in the number of the trial from 1, "
+        "as '100 + trial'",
+    )
+    assert refused(noise={"state": 1, "generator": "seed"}) == (
+        "streams.noise.generator",
+        "must be 'state' or 'twister'",
+    )
+    assert refused(noise=3)[1] == "must be a mapping of keys to values"
+    assert refused(fixed=["noise"], noise={"state": "trial"}) == (
+        "streams",
+        "noise is fixed, but its state 'trial' changes with the trial",
+    )
+
+
+def test_a_formula_that_leaves_the_range_in_a_later_trial_names_the_trial():
+    streams = matlab5(noise={"state": "3 - trial"})
+    streams.generator("noise", SEED, KEY, 2)
+    with pytest.raises(ValueError, match="a state is") as caught:
+        streams.generator("noise", SEED, KEY, 3)
+    assert str(caught.value) == (
+        "a state is a whole number from 0 to 4294967295, not -1 (the formula '3 - trial' in trial 4)"
+    )
