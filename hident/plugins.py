@@ -7,7 +7,8 @@ import importlib
 import importlib.util
 import pkgutil
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -23,38 +24,42 @@ def load(files: Iterable[Path] = ()) -> None:
     Raises
     ------
     ConfigError
-        If a plugin cannot be imported; the message names it and the reason.
+        If plugins cannot be imported; the message names each and its reason.
     """
     for room in _ROOMS:
         package = importlib.import_module(f"hident.{room}")
         for module in pkgutil.iter_modules(package.__path__):
             importlib.import_module(f"hident.{room}.{module.name}")
-    for entry in entry_points(group=GROUP):
-        _guarded(f"plugin '{entry.name}' ({entry.value})", entry.load)
-    for path in files:
-        _guarded(f"plugin {path}", lambda path=path: _load_file(path))
+    problems = [
+        *(_tried(f"plugin '{e.name}' ({e.value})", e.load) for e in entry_points(group=GROUP)),
+        *(_tried(f"plugin {path}", partial(_load_file, path)) for path in files),
+    ]
+    if any(problems):
+        raise ConfigError("\n".join(filter(None, problems)))
 
 
-def _guarded(name: str, action: object) -> None:
+def _tried(name: str, action: Callable[[], object]) -> str:
+    """What went wrong, or an empty string."""
     try:
-        action()  # type: ignore[operator]
-    except ConfigError:
-        raise
-    except Exception as error:
-        raise ConfigError(f"{name} cannot be loaded: {type(error).__name__}: {error}") from error
+        action()
+    except ConfigError as error:
+        return f"{name}: {error}"
+    except (Exception, SystemExit) as error:
+        return f"{name} cannot be loaded: {type(error).__name__}: {error}"
+    return ""
 
 
 def _load_file(path: Path) -> None:
     path = path.resolve()
     if not path.is_file():
-        raise ConfigError(f"plugin {path}: no such file")
+        raise ConfigError("no such file")
     # The folder is part of the name, so that two plugins of one file name can be loaded together.
     name = f"hident_plugin_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"
     if name in sys.modules:
         return
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
-        raise ConfigError(f"plugin {path}: is not a Python file")
+        raise ConfigError("is not a Python file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:

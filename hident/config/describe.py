@@ -2,56 +2,101 @@
 
 from __future__ import annotations
 
+import inspect
 import types
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic.fields import FieldInfo
+
+from hident.config.meanings import meanings
 from hident.config.spec import Component, Of, Spec
+
+_BOUNDS: dict[type, tuple[str, str]] = {
+    Gt: (">", "gt"),
+    Ge: (">=", "ge"),
+    Lt: ("<", "lt"),
+    Le: ("<=", "le"),
+}
+_SCALARS = {float: "number", int: "whole number", bool: "true or false", str: "text", Any: "anything"}
 
 
 def fields(spec: type[Spec], prefix: str = "") -> Iterator[tuple[str, str, str, str]]:
-    """Key path, what it holds, default and meaning of every field, nested specs included."""
+    """Key path, what it holds, default and meaning of every field, nested specs included.
+
+    Where a field holds one of several specs, a line of its own stands above the fields of each.
+    """
     for name, field in spec.model_fields.items():
         path = f"{prefix}{name}"
         annotation: Any = field.annotation
-        for extra in field.metadata:
-            annotation = Annotated[annotation, extra]
+        if field.metadata:
+            annotation = Annotated[annotation, *field.metadata]
         default = (
             "required" if field.is_required() else _default(field.get_default(call_default_factory=True))
         )
-        yield path, _holds(annotation), default, (field.description or "").strip()
-        inner = _spec_within(annotation)
-        if inner is not None:
-            yield from fields(inner, f"{path}.")
+        yield path, _holds(annotation), default, meanings(spec).get(name, "")
+        alternatives = list(_specs_within(annotation))
+        for i, (inner, marks) in enumerate(alternatives):
+            if len(alternatives) > 1:
+                yield f"{path}, {'or' if i else 'either'}", "", "", inspect.getdoc(inner) or ""
+            yield from fields(inner, f"{path}{marks}.")
 
 
 def _default(value: Any) -> str:
-    if isinstance(value, Component):
-        return value.kind
-    return "none" if value is None else "[]" if value == () else str(value)
+    match value:
+        case Component():
+            return value.kind
+        case Spec():
+            return "mapping"
+        case None:
+            return "none"
+        case bool():
+            return str(value).lower()
+        case tuple():
+            return f"[{', '.join(map(_default, value))}]"
+        case _:
+            return str(value)
 
 
-def _spec_within(annotation: Any) -> type[Spec] | None:
-    """The plain spec that a field holds, alone or in a list."""
+def _specs_within(annotation: Any, marks: str = "") -> Iterator[tuple[type[Spec], str]]:
+    """The plain specs that a field can hold, with ``[]`` for each list around them."""
     if isinstance(annotation, type) and issubclass(annotation, Spec):
-        return None if issubclass(annotation, Component) else annotation
-    return next((s for part in get_args(annotation) if (s := _spec_within(part))), None)
+        if not issubclass(annotation, Component):
+            yield annotation, marks
+        return
+    inside = f"{marks}[]" if get_origin(annotation) in (list, tuple) else marks
+    for part in get_args(annotation):
+        yield from _specs_within(part, inside)
 
 
 def _holds(annotation: Any) -> str:
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         family = next((extra.family for extra in parts[1:] if isinstance(extra, Of)), None)
-        return family or _holds(parts[0])
+        return family or f"{_holds(parts[0])}{_bounds(parts[1:])}"
     if origin in (Union, types.UnionType):
-        return " or ".join(_holds(part) for part in parts if part is not type(None))
+        return " or ".join(dict.fromkeys(_holds(part) for part in parts if part is not type(None)))
     if origin is Literal:
         return " | ".join(str(part) for part in parts)
     if origin in (tuple, list):
-        return (
-            f"list of {_holds(parts[0])}" if parts[-1] is Ellipsis else f"[{', '.join(map(_holds, parts))}]"
-        )
+        if origin is list or parts[-1] is Ellipsis:
+            return f"list of {_holds(parts[0])}"
+        return f"[{', '.join(map(_holds, parts))}]"
     if origin is dict:
         return f"mapping to {_holds(parts[1])}"
-    names = {float: "number", int: "whole number", bool: "true | false", str: "text"}
-    return names.get(annotation, "mapping")
+    return _SCALARS.get(annotation, "mapping")
+
+
+def _bounds(extras: Sequence[Any]) -> str:
+    """The bounds among the extras of an annotation, e.g. `` > 0, < 1``."""
+    metadata = [
+        one for extra in extras for one in (extra.metadata if isinstance(extra, FieldInfo) else [extra])
+    ]
+    found = [
+        f"{sign} {getattr(extra, attribute)}"
+        for extra in metadata
+        for kind, (sign, attribute) in _BOUNDS.items()
+        if isinstance(extra, kind)
+    ]
+    return f" {', '.join(found)}" if found else ""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import math
+import sys
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -53,6 +55,8 @@ _COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.NotEq: np.not_equal,
 }
 _LONGEST = 1000
+_DEEPEST = 100
+_LARGEST = sys.float_info.max
 
 
 class FormulaError(ValueError):
@@ -84,10 +88,14 @@ class Formula:
         if len(self.text) > _LONGEST:
             raise FormulaError(f"a formula has at most {_LONGEST} characters, not {len(self.text)}")
         try:
-            tree = ast.parse(self.text.strip(), mode="eval").body
-        except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
-            reason = error.msg if isinstance(error, SyntaxError) else "it is too complex"
-            raise FormulaError(f"cannot read the formula {self.text!r}: {reason}") from None
+            with warnings.catch_warnings():
+                # Python warns of what it finds odd, such as '1if'; nothing of that kind is allowed here.
+                warnings.simplefilter("ignore")
+                tree = ast.parse(self.text.strip(), mode="eval").body
+        except SyntaxError as error:
+            raise FormulaError(f"cannot read the formula {self.text!r}: {error.msg}") from None
+        except (ValueError, MemoryError, RecursionError):
+            raise FormulaError(f"cannot read the formula {self.text!r}") from None
         _check(tree, self.text, self.variables)
         object.__setattr__(self, "_tree", tree)
 
@@ -111,12 +119,16 @@ def number(text: str) -> float:
     return value
 
 
-def _check(node: ast.expr, text: str, variables: tuple[str, ...]) -> None:
+def _check(node: ast.expr, text: str, variables: tuple[str, ...], depth: int = 1) -> None:
+    if depth > _DEEPEST:
+        raise FormulaError(f"the formula {text!r} is nested more than {_DEEPEST} deep")
     children: list[ast.expr]
     match node:
         case ast.Constant(value=bool()):
             raise FormulaError(f"{node.value!r} is not allowed in a formula ({text!r})")
-        case ast.Constant(value=int() | float()):
+        case ast.Constant(value=int() | float() as value):
+            if value > _LARGEST:
+                raise FormulaError(f"a number in the formula {text!r} is too large")
             children = []
         case ast.Name(id=name):
             if name not in CONSTANTS and name not in variables:
@@ -153,7 +165,7 @@ def _check(node: ast.expr, text: str, variables: tuple[str, ...]) -> None:
                 "(allowed: numbers, + - * / **, one comparison, and function calls)"
             )
     for child in children:
-        _check(child, text, variables)
+        _check(child, text, variables, depth + 1)
 
 
 def _evaluate(node: ast.expr, values: dict[str, Any]) -> Any:
@@ -168,7 +180,8 @@ def _evaluate(node: ast.expr, values: dict[str, Any]) -> Any:
         case ast.BinOp(left=left, op=operation, right=right):
             return _BINARY[type(operation)](_evaluate(left, values), _evaluate(right, values))
         case ast.Compare(left=left, ops=[comparison], comparators=[right]):
-            return _COMPARE[type(comparison)](_evaluate(left, values), _evaluate(right, values))
+            # As numbers, since numpy's booleans do not add up.
+            return 1.0 * _COMPARE[type(comparison)](_evaluate(left, values), _evaluate(right, values))
         case ast.Call(func=ast.Name(id=name), args=arguments):
             return FUNCTIONS[name][0](*(_evaluate(argument, values) for argument in arguments))
     raise AssertionError(f"unchecked node {node!r}")

@@ -1,60 +1,53 @@
-"""Reading configurations: strict YAML 1.2, patches, and errors that name file, line and key.
-
-The YAML is read by the 1.2 core schema: ``1e-3`` is a number, ``no``, ``off`` and ``12:30`` are strings,
-and a key that stands twice in a mapping is an error.
-"""
+"""Reading configurations: files, patches to them, and errors that name file, line and key."""
 
 from __future__ import annotations
 
 import copy
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import ValidationError
 
 from hident.config.suggest import did_you_mean, one_of
+from hident.config.yaml12 import Complaint, Location, Place, Reader, error_of, shown, spelled
 from hident.errors import ConfigError
 
-Location = tuple[str | int, ...]
-_NULL = re.compile(r"(?:~|null|Null|NULL|)\Z")
-_BOOL = re.compile(r"(?:true|True|TRUE|false|False|FALSE)\Z")
-_INT = re.compile(r"[-+]?[0-9]+\Z")
-_OCTAL = re.compile(r"0o[0-7]+\Z")
-_HEX = re.compile(r"0x[0-9a-fA-F]+\Z")
-_FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?\Z")
-_INFINITE = re.compile(r"([-+]?)\.(?:inf|Inf|INF)\Z")
-_NAN = re.compile(r"\.(?:nan|NaN|NAN)\Z")
+_ABSENT = object()
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing wrong with a configuration: where, at which key, and what."""
+    """One thing wrong with a configuration: where, at which key, what, and the value that is there."""
 
     location: Location
     message: str
-    value: Any = None
+    value: Any = _ABSENT
 
 
 @dataclass(frozen=True)
 class Document:
-    """The plain data of a configuration, and for each key path the place that it was written at."""
+    """The plain data of a configuration, and for each key path the place that it was written at.
+
+    ``patches`` holds the places of what was replaced since; ``complaints`` what was wrong with the YAML.
+    """
 
     name: str
     data: dict[str, Any]
-    places: Mapping[Location, str] = field(default_factory=dict)
+    places: Mapping[Location, Place] = field(default_factory=dict)
+    patches: Mapping[Location, Place] = field(default_factory=dict)
+    complaints: tuple[Complaint, ...] = ()
 
-    def place(self, location: Location) -> str:
+    def place(self, location: Location) -> Place:
         """The place of the nearest enclosing key, e.g. ``configs/a.yaml:12``."""
-        for length in range(len(location), -1, -1):
-            if location[:length] in self.places:
-                return self.places[location[:length]]
-        return self.name
+        for places in (self.patches, self.places):
+            for length in range(len(location), -1, -1):
+                if location[:length] in places:
+                    return places[location[:length]]
+        return Place(0, self.name)
 
-    def patched(self, path: str, value: Any, place: str) -> Document:
+    def patched(self, path: str, value: Any, place: Place) -> Document:
         """A copy with the value at the dotted path replaced.
 
         Raises
@@ -63,188 +56,153 @@ class Document:
             If a key on the way to the last one does not exist; the nearest valid name is given.
         """
         data = dict(self.data)
-        location = _put(data, path, value, place)
-        places = {at: where for at, where in self.places.items() if at[: len(location)] != location}
-        return Document(self.name, data, {**places, location: place})
+        location = _put(data, path, value, place.text)
+        patches = {at: where for at, where in self.patches.items() if at[: len(location)] != location}
+        return Document(self.name, data, self.places, {**patches, location: place}, self.complaints)
+
+    def complaints_of(self, problems: Iterable[Problem]) -> list[Complaint]:
+        """The problems in words, each with its place and key path."""
+        return [
+            Complaint(
+                place.line,
+                f"{place.text}: {spelled(problem.location) or 'file'}: {problem.message}{_got(problem)}",
+            )
+            for problem in problems
+            for place in (self.place(problem.location),)
+        ]
 
     def error(self, problems: Iterable[Problem]) -> ConfigError:
-        """One error that lists all problems, each once, in the order of their places."""
-        lines = [
-            f"{self.place(p.location)}: {spelled(p.location) or 'file'}: {p.message}{_got(p.value)}"
-            for p in problems
-        ]
-        return ConfigError("\n".join(dict.fromkeys(lines)))
-
-
-def spelled(location: Location) -> str:
-    """A key path in the user's own words: ``cases.samples[2]``."""
-    text = ""
-    for part in location:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}"
-    return text.removeprefix(".")
+        """One error that lists all problems; see :func:`error_of`."""
+        return error_of(self.complaints_of(problems))
 
 
 def problems_of(error: ValidationError, prefix: Location = ()) -> list[Problem]:
     """Pydantic's errors as problems."""
-    quiet = ("is required", "unknown key")
     return [
-        Problem(
-            (*prefix, *detail["loc"]),
-            detail["msg"],
-            None if detail["msg"].startswith(quiet) else detail["input"],
-        )
+        Problem((*prefix, *detail["loc"]), detail["msg"].removeprefix("Value error, "), detail["input"])
         for detail in error.errors()
     ]
 
 
-def _got(value: Any) -> str:
-    if value is None or isinstance(value, Mapping) or (isinstance(value, list) and len(value) > 8):
+def _got(problem: Problem) -> str:
+    value, message = problem.value, problem.message
+    if value is _ABSENT or message.startswith(("is required", "unknown key")):
         return ""
-    text = repr(value)
+    if isinstance(value, Mapping) and not message.startswith("must be"):
+        # What is wrong lies inside, and the message says it.
+        return ""
+    text = shown(value)
+    if isinstance(value, str) and text in message:
+        return ""
     return f" (got {text if len(text) <= 80 else text[:77] + '...'})"
 
 
 def read(path: Path) -> Document:
-    """Read a configuration file.
+    """Read a YAML file.
 
     Raises
     ------
     ConfigError
         If the file cannot be read or is no strict YAML mapping; the message names the line.
     """
+    document = read_leniently(path)
+    if document.complaints:
+        raise error_of(document.complaints)
+    return document
+
+
+def read_leniently(path: Path) -> Document:
+    """Read a YAML file; what is no more than unclear goes to the document's complaints.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or is no YAML mapping at all.
+    """
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         near = [str(other) for other in sorted(path.parent.glob("*.yaml"))]
+        if path.parent == Path() and not path.suffix:
+            # A bare name is that of a file under configs/.
+            near += [other.stem for other in sorted(Path("configs").glob("*.yaml"))]
         raise ConfigError(f"{path}: no such file{did_you_mean(str(path), near)}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {_reason(error)}") from None
-    places: dict[Location, str] = {}
-    data = _parse(text, str(path), places)
+    except UnicodeDecodeError as error:
+        line = error.object.count(b"\n", 0, error.start) + 1
+        raise ConfigError(f"{path}:{line}: cannot be read: it is not UTF-8 text") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {(error.strerror or str(error)).lower()}") from None
+    reader = Reader(str(path), numbered=True)
+    data = reader.read(text)
     if not isinstance(data, dict):
-        raise ConfigError(f"{path}:1: file: must be a mapping of keys to values")
-    return Document(str(path), data, places)
+        found = "empty" if data is None else "a list" if isinstance(data, list) else shown(data)
+        raise ConfigError(f"{path}:1: file: must be a mapping of keys to values, but it is {found}")
+    return Document(str(path), data, reader.places, complaints=tuple(reader.complaints))
 
 
 def override(document: Document, assignments: Iterable[str]) -> Document:
-    """Apply ``--set`` assignments such as ``excitation.high=2*pi``; values are read as YAML."""
+    """Apply ``--set`` assignments such as ``excitation.high=2*pi``; values are read as YAML.
+
+    Raises
+    ------
+    ConfigError
+        With all assignments that cannot be read or whose path leads nowhere.
+    """
+    errors: list[str] = []
     for assignment in assignments:
-        path, equals, text = assignment.partition("=")
-        if not equals or not path.strip():
-            raise ConfigError(f"--set {assignment}: must be of the form key.path=value")
-        place = f"--set {assignment}"
-        document = document.patched(path.strip(), _parse(text, place, {}), place)
+        try:
+            document = _assigned(document, assignment)
+        except ConfigError as error:
+            errors.append(str(error))
+    if errors:
+        raise ConfigError("\n".join(errors))
     return document
 
 
-def _reason(error: Exception) -> str:
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror.lower()
-    return "it is not UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error)
+def _assigned(document: Document, assignment: str) -> Document:
+    path, equals, text = assignment.partition("=")
+    place = Place(0, f"--set {assignment}")
+    if not equals or not path.strip():
+        raise ConfigError(f"{place.text}: must be of the form key.path=value")
+    reader = Reader(place.text, numbered=False)
+    value = reader.read(text)
+    if reader.complaints:
+        raise error_of(reader.complaints)
+    return document.patched(path.strip(), value, place)
 
 
 def _put(data: dict[str, Any], path: str, value: Any, place: str) -> Location:
     """Set the value at the path, copying only the containers on the way; return its location."""
     at: Any = data
     location: Location = ()
-    parts = path.split(".")
-    for depth, part in enumerate(parts):
-        last = depth == len(parts) - 1
+    rest = path.split(".")
+    while True:
         where = spelled(location) or "the file"
+        key: str | int
         if isinstance(at, list):
-            if not part.isdigit() or int(part) >= len(at):
+            key, *rest = rest
+            if not key.isdecimal() or int(key) >= len(at):
+                allowed = f"one of {one_of(map(str, range(len(at))))}" if at else "left out"
                 raise ConfigError(
-                    f"{place}: {path}: {where} is a list of {len(at)}, so '{part}' must be one of "
-                    f"{one_of(map(str, range(len(at))))}"
+                    f"{place}: {path}: {where} is a list of {len(at)}, so '{key}' must be {allowed}"
                 )
-            key: str | int = int(part)
+            key = int(key)
         elif isinstance(at, dict):
-            key = part
-            if not last and part not in at:
+            # A key may hold dots itself, such as an axis: the longest that fits is meant.
+            length = next((n for n in range(len(rest), 1, -1) if ".".join(rest[:n]) in at), 1)
+            key, rest = ".".join(rest[:length]), rest[length:]
+            if rest and key not in at:
                 raise ConfigError(
-                    f"{place}: {path}: {where} has no key '{part}'{did_you_mean(part, at)} "
+                    f"{place}: {path}: {where} has no key '{key}'{did_you_mean(key, at)} "
                     f"(it has: {one_of(at)})"
                 )
         else:
-            raise ConfigError(f"{place}: {path}: {where} is {at!r}, which has no key '{part}'")
+            raise ConfigError(f"{place}: {path}: {where} is {shown(at)}, which has no key '{rest[0]}'")
         location = (*location, key)
-        if last:
+        if not rest:
             at[key] = value
-        else:
-            inner = at[key]
-            # A bare name stands for a component without further keys.
-            at[key] = {"kind": inner} if isinstance(inner, str) else copy.copy(inner)
-            at = at[key]
-    return location
-
-
-def _parse(text: str, name: str, places: dict[Location, str]) -> Any:
-    try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        line = f":{mark.line + 1}" if mark is not None else ""
-        raise ConfigError(f"{name}{line}: is not valid YAML: {error.problem}") from None
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{name}: is not valid YAML: {' '.join(str(error).split())}") from None
-    return None if node is None else _plain(node, name, places, (), ())
-
-
-def _plain(
-    node: yaml.Node,
-    name: str,
-    places: dict[Location, str],
-    location: Location,
-    inside: tuple[yaml.Node, ...],
-) -> Any:
-    here = f"{name}:{node.start_mark.line + 1}"
-    places.setdefault(location, here)
-    if node in inside:
-        raise ConfigError(f"{here}: {spelled(location)}: an anchor cannot contain itself")
-    inside = (*inside, node)
-    if isinstance(node, yaml.MappingNode):
-        mapping: dict[str, Any] = {}
-        for key_node, value_node in node.value:
-            line = key_node.start_mark.line + 1
-            if not isinstance(key_node, yaml.ScalarNode):
-                raise ConfigError(f"{name}:{line}: {spelled(location)}: a key must be plain text")
-            key = key_node.value
-            if key in mapping:
-                first = places[(*location, key)].rpartition(":")[2]
-                raise ConfigError(
-                    f"{name}:{line}: {spelled((*location, key))}: this key stands already in line {first}"
-                )
-            places[(*location, key)] = f"{name}:{line}"
-            mapping[key] = _plain(value_node, name, places, (*location, key), inside)
-        return mapping
-    if isinstance(node, yaml.SequenceNode):
-        return [
-            _plain(item, name, places, (*location, index), inside) for index, item in enumerate(node.value)
-        ]
-    assert isinstance(node, yaml.ScalarNode)
-    return _scalar(node, here, location)
-
-
-def _scalar(node: yaml.ScalarNode, here: str, location: Location) -> Any:
-    if not node.tag.startswith("tag:yaml.org,2002:"):
-        raise ConfigError(f"{here}: {spelled(location)}: the tag {node.tag} is not allowed")
-    # A quoted or block scalar is a string; the loader's own YAML 1.1 reading of plain ones is not used.
-    return _resolved(node.value) if node.style is None else node.value
-
-
-def _resolved(text: str) -> Any:
-    if _NULL.match(text):
-        return None
-    if _BOOL.match(text):
-        return text.lower() == "true"
-    if _INT.match(text):
-        return int(text)
-    if _OCTAL.match(text):
-        return int(text[2:], 8)
-    if _HEX.match(text):
-        return int(text[2:], 16)
-    if _FLOAT.match(text):
-        return float(text)
-    if infinite := _INFINITE.match(text):
-        return float(infinite[1] + "inf")
-    return float("nan") if _NAN.match(text) else text
+            return location
+        inner = at[key]
+        # A bare name stands for a component without further keys.
+        at[key] = {"kind": inner} if isinstance(inner, str) else copy.copy(inner)
+        at = at[key]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
 from pydantic import (
     BaseModel,
@@ -26,6 +26,7 @@ from pydantic import (
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from hident.config.expression import number
+from hident.config.meanings import meanings
 from hident.config.suggest import did_you_mean, one_of
 
 Family = Literal[
@@ -67,6 +68,8 @@ def _as_real(value: Any) -> Any:
 def _as_count(value: Any) -> Any:
     if isinstance(value, bool) or not isinstance(value, int):
         raise ValueError("must be a whole number")
+    if abs(value) >= 2**63:
+        raise ValueError("must be below 2^63")
     return value
 
 
@@ -82,43 +85,78 @@ Flag = Annotated[bool, Strict()]
 class Spec(BaseModel):
     """A frozen part of a configuration; unknown keys are refused with the nearest valid name."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
+    # Schemas are built at first use: a command needs few of them.
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
     @model_validator(mode="wrap")
     @classmethod
-    def _explain_unknown_keys(cls, data: Any, handler: Callable[[Any], Any]) -> Any:
+    def _explain(cls, data: Any, handler: Callable[[Any], Any]) -> Any:
         if not isinstance(data, Mapping | Spec):
             raise PydanticCustomError("not_a_mapping", "must be a mapping of keys to values")
         try:
             return handler(data)
         except ValidationError as error:
             raise ValidationError.from_exception_data(
-                error.title, [cls._explained(detail) for detail in error.errors()]
+                error.title, [cls._explained(detail, data) for detail in error.errors()]
             ) from None
 
     @classmethod
-    def _explained(cls, detail: Any) -> InitErrorDetails:
-        message, key = detail["msg"], detail["loc"][-1] if detail["loc"] else ""
-        if detail["type"] == "extra_forbidden" and len(detail["loc"]) == 1:
-            allowed = list(cls.model_fields)
-            message = f"unknown key{did_you_mean(str(key), allowed)} (allowed: {one_of(allowed)})"
-        elif detail["type"] == "missing" and len(detail["loc"]) == 1:
-            described = cls.model_fields[str(key)].description
-            message = "is required" + (f": {described.rstrip('.')}" if described else "")
-        elif detail["type"] == "literal_error":
-            expected = detail["ctx"]["expected"]
-            near = did_you_mean(str(detail["input"]), re.findall("'([^']*)'", expected))
-            message = f"must be {expected}{near}"
-        elif detail["type"] in ("tuple_type", "list_type"):
-            message = "must be a list"
-        elif detail["type"] == "dict_type":
-            message = "must be a mapping of keys to values"
+    def _explained(cls, detail: Any, data: Any) -> InitErrorDetails:
+        message, loc, context = detail["msg"], detail["loc"], detail.get("ctx", {})
+        match detail["type"]:
+            case "extra_forbidden":
+                allowed = list(cls.model_fields)
+                near = did_you_mean(str(loc[-1]), allowed)
+                message = f"unknown key{near} (allowed: {one_of(allowed) or 'none'})"
+            case "missing" if isinstance(loc[-1], int):
+                message, loc = f"must be a list of at least {loc[-1] + 1}", loc[:-1]
+            case "missing":
+                meaning = meanings(cls).get(str(loc[-1]), "")
+                message = "is required" + (f": {meaning.rstrip('.')}" if meaning else "")
+            case "literal_error":
+                near = did_you_mean(str(detail["input"]), re.findall("'([^']*)'", context["expected"]))
+                message = f"must be {context['expected']}{near}"
+            case "tuple_type" | "list_type":
+                message = "must be a list"
+            case "too_long":
+                message = f"must be a list of at most {context['max_length']}"
+            case "too_short":
+                message = f"must be a list of at least {context['min_length']}"
+            case "dict_type":
+                message = "must be a mapping of keys to values"
+            case "bool_type":
+                message = "must be true or false"
+            case "string_type":
+                message = "must be text"
         message = message.removeprefix("Value error, ").replace("Input should be", "must be")
         return InitErrorDetails(
             type=PydanticCustomError("config", message),
-            loc=detail["loc"],
+            loc=_as_written(loc, data, message),
             input=detail["input"],
         )
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        found = handler.resolve_ref_schema(handler(schema))
+        for name, meaning in meanings(cls).items():
+            found["properties"][name]["description"] = meaning
+        return found
+
+
+def _as_written(loc: tuple[str | int, ...], data: Any, message: str) -> tuple[str | int, ...]:
+    """The location without what stands only in the schema, such as the names of a union's branches."""
+    kept: list[str | int] = []
+    for i, part in enumerate(loc):
+        if (isinstance(data, Mapping) and part in data) or (
+            isinstance(data, list | tuple) and isinstance(part, int) and part < len(data)
+        ):
+            data = data[part]  # type: ignore[index]
+        elif not (message.startswith("is required") and i == len(loc) - 1):
+            continue
+        kept.append(part)
+    return tuple(kept)
 
 
 class Component(Spec):
@@ -144,8 +182,11 @@ def component(family: Family, kind: str, *, source: str = "") -> Callable[[C], C
     Raises
     ------
     ValueError
-        If another class already has that name.
+        If the family is unknown, or another class already has that name.
     """
+    if family not in get_args(Family):
+        near = did_you_mean(family, get_args(Family))
+        raise ValueError(f"unknown family '{family}'{near} (allowed: {one_of(get_args(Family))})")
 
     def register(cls: C) -> C:
         known = _REGISTER.setdefault(family, {})
@@ -168,6 +209,8 @@ def components(family: Family) -> dict[str, type[Component]]:
 
 
 _FAMILY = "x-family"
+# Pydantic leaves the bounds of a field with a validator of its own under its own names.
+_BOUNDS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "le": "maximum"}
 
 
 class Of:
@@ -192,23 +235,24 @@ class Of:
         known = components(self.family)
         if isinstance(value, Component) and value.family == self.family:
             return value
-        if isinstance(value, str):
+        bare = isinstance(value, str)
+        if bare:
             value = {"kind": value}
         if not isinstance(value, Mapping):
             raise PydanticCustomError("config", f"must be a mapping with 'kind:' (allowed: {one_of(known)})")
-        if "kind" not in value:
-            raise _at_kind(f"is required: the {self.family} (allowed: {one_of(known)})", value)
-        kind = value["kind"]
-        if not isinstance(kind, str) or kind not in known:
-            raise _at_kind(
-                f"unknown {self.family}{did_you_mean(kind, known)} (allowed: {one_of(known)})", kind
-            )
-        return known[kind].model_validate({k: v for k, v in value.items() if k != "kind"})
-
-
-def _at_kind(message: str, value: Any) -> ValidationError:
-    detail = InitErrorDetails(type=PydanticCustomError("config", message), loc=("kind",), input=value)
-    return ValidationError.from_exception_data("component", [detail])
+        kind = value.get("kind")
+        if isinstance(kind, str) and kind in known:
+            return known[kind].model_validate({k: v for k, v in value.items() if k != "kind"})
+        message = (
+            f"unknown {self.family}{did_you_mean(str(kind), known)}"
+            if "kind" in value
+            else f"is required: the {self.family}"
+        )
+        problem = PydanticCustomError("config", f"{message} (allowed: {one_of(known)})")
+        loc = () if bare else ("kind",)
+        raise ValidationError.from_exception_data(
+            self.family, [InitErrorDetails(type=problem, loc=loc, input=kind)]
+        )
 
 
 def canonical(value: Any) -> Any:
@@ -242,7 +286,11 @@ def json_schema(model: type[Spec]) -> dict[str, Any]:
         if _FAMILY in node:
             rest = {key: linked(item) for key, item in node.items() if key != _FAMILY}
             return {**rest, "$ref": f"#/$defs/{node[_FAMILY]}"}
-        return {key: linked(item) for key, item in node.items()}
+        # A field may have the name of a bound; its schema is a mapping, the bound a number.
+        return {
+            key if isinstance(item, dict) else _BOUNDS.get(key, key): linked(item)
+            for key, item in node.items()
+        }
 
     def schema_of(cls: type[Spec]) -> dict[str, Any]:
         schema = linked(cls.model_json_schema())

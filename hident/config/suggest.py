@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 
+_LONGEST = 200
+
 
 def did_you_mean(name: str, allowed: Iterable[str]) -> str:
     """Return ``"; did you mean 'x'?"`` for the nearest allowed name, or an empty string."""
-    names = list(allowed)
-    lowered = {candidate.lower(): candidate for candidate in names}
-    near = get_close_matches(str(name).lower(), lowered, n=1, cutoff=0.6)
+    lowered = {candidate.lower(): candidate for candidate in allowed}
+    # The search takes quadratic time, and nobody meant a name this long.
+    near = get_close_matches(name.lower(), lowered, n=1, cutoff=0.6) if len(name) <= _LONGEST else []
     return f"; did you mean '{lowered[near[0]]}'?" if near else ""
 
 

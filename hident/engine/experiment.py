@@ -7,29 +7,30 @@ not multiply that estimator, so that no unit stands twice.
 
 from __future__ import annotations
 
-import itertools
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, field_validator
+from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationError, field_validator
+from pydantic_core import CoreSchema
 
-from hident.config.load import Document, Location, Problem, override, problems_of, read
+from hident.config.load import Document, Problem, override, problems_of, read_leniently
 from hident.config.spec import Component, Count, Of, Spec
 from hident.config.suggest import did_you_mean, one_of
+from hident.config.yaml12 import Complaint, Location, Place, error_of
+from hident.engine.cases import CHANGEABLE, DATA, Axis, Cases, Label, sound_axes
+from hident.engine.expansion import Expansion, Unit
 from hident.engine.trial import Data
-from hident.errors import ConfigError
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
 
+__all__ = ["Experiment", "Label", "Plan", "Published", "PublishedCells", "Statistic", "Unit", "load"]
+
 FORMAT = 1
-Label = str | float | int
 Statistic = Literal["mean", "median", "std"]
-_DATA = tuple(Data.model_fields)
 
 
 class PublishedCells(Spec):
@@ -51,35 +52,24 @@ class PublishedCells(Spec):
     """Labels of axes that limit the correspondence; all by default."""
 
 
+def _as_runs(value: Any) -> Any:
+    if value in ("unknown", "exact") or (type(value) is int and value >= 1):
+        return value
+    raise ValueError("must be a whole number of at least 1, 'unknown' or 'exact'")
+
+
 class Published(Spec):
     """The printed numbers that a run is held against."""
 
-    paper_trials: Annotated[Count, Field(ge=1)] | Literal["unknown", "exact"]
+    paper_trials: Annotated[
+        Annotated[int, Field(ge=1)] | Literal["unknown", "exact"], BeforeValidator(_as_runs)
+    ]
     """Runs that the paper averages; 'unknown' if it does not say, 'exact' for a formula's value."""
     cells: tuple[PublishedCells, ...]
     """The correspondence of cells."""
 
 
-class _Cases(Spec):
-    """The axes, which must be sound before they can be applied."""
-
-    cases: dict[str, list[Any] | dict[str, dict[str, Any]]] = {}
-    """Axes: a key path with a list of values, or a name with labels and the values that each sets."""
-
-    @field_validator("cases")
-    @classmethod
-    def _full_axes(cls, cases: dict[str, Any]) -> dict[str, Any]:
-        for name, axis in cases.items():
-            if not axis:
-                raise ValueError(f"the axis '{name}' is empty")
-            if isinstance(axis, list) and any(isinstance(value, dict) for value in axis):
-                raise ValueError(
-                    f"the axis '{name}' lists mappings: name each, as 'label: {{{name}: value}}'"
-                )
-        return cases
-
-
-class Experiment(Data, _Cases):
+class Experiment(Data, Cases):
     """One YAML file."""
 
     version: Literal[1]
@@ -103,6 +93,13 @@ class Experiment(Data, _Cases):
     published: Published | None = None
     """The printed numbers that the results stand beside."""
 
+    @field_validator("version", mode="before")
+    @classmethod
+    def _known(cls, version: Any) -> Any:
+        if type(version) is not int or version != FORMAT:
+            raise ValueError(f"this hident reads version {FORMAT} of the format")
+        return version
+
     @field_validator("estimators", "metrics")
     @classmethod
     def _named(cls, value: dict[str, Any]) -> dict[str, Any]:
@@ -121,50 +118,16 @@ class Experiment(Data, _Cases):
                 raise ValueError(f"the name {name!r} must consist of letters, digits, - and _")
         return value
 
-
-@dataclass(frozen=True)
-class Axis:
-    """One axis of the cases: its labels, and the patches (key path -> value) behind each label."""
-
-    name: str
-    labels: tuple[Label, ...]
-    patches: tuple[dict[str, Any], ...]
-
     @classmethod
-    def of(cls, name: str, written: list[Any] | dict[str, dict[str, Any]]) -> Axis:
-        if isinstance(written, dict):
-            return cls(name, tuple(written), tuple(written.values()))
-        labels = tuple(v if isinstance(v, str | int | float) else str(v) for v in written)
-        return cls(name, labels, tuple({name: value} for value in written))
-
-    @cached_property
-    def roots(self) -> frozenset[tuple[str, ...]]:
-        """What the axis touches: ("data",), ("estimators", name) or ("metrics", name)."""
-        touched = set()
-        for path in itertools.chain.from_iterable(self.patches):
-            head, *rest = path.split(".")
-            touched.add(("data",) if head in _DATA else (head, *rest[:1]))
-        return frozenset(touched)
-
-
-@dataclass(frozen=True)
-class Unit:
-    """One estimator on one case: ``labels`` by axis, in the order of the axes."""
-
-    labels: dict[str, Label]
-    name: str
-    data: Data
-    estimator: EstimatorSpec
-    metrics: dict[str, MetricSpec]
-
-    @cached_property
-    def metric_labels(self) -> tuple[str, ...]:
-        return tuple(label for name, metric in self.metrics.items() for label in metric.labels(name))
-
-    def described(self) -> str:
-        """The unit in words, for messages."""
-        case = ", ".join(f"{axis} {label}" for axis, label in self.labels.items())
-        return f"estimator '{self.name}'" + (f" at {case}" if case else "")
+    def __get_pydantic_json_schema__(
+        cls, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        found = super().__get_pydantic_json_schema__(schema, handler)
+        # The cases may set what the file leaves out, and a single noise needs no list.
+        found["required"] = [name for name in found["required"] if name not in DATA]
+        noise = found["properties"]["noise"]
+        noise["anyOf"] = [{"type": noise.pop("type"), "items": noise["items"]}, noise.pop("items")]
+        return found
 
 
 @dataclass(frozen=True)
@@ -207,152 +170,51 @@ def load(
     ConfigError
         With all that is wrong with the file, one line for each problem.
     """
-    document = override(read(path), assignments)
+    document = override(read_leniently(path), assignments)
     for key, value in options.items():
         if value is not None:
-            document = document.patched(key, value, f"--{key} {value}")
-    if document.data.get("version", FORMAT) != FORMAT:
-        problem = Problem(
-            ("version",), f"this hident reads version {FORMAT} of the format", document.data["version"]
+            document = document.patched(key, value, Place(0, f"--{key} {value}"))
+    if (version := document.data.get("version", FORMAT)) != FORMAT:
+        # The rest may mean something else there.
+        raise document.error(
+            [Problem(("version",), f"this hident reads version {FORMAT} of the format", version)]
         )
-        raise document.error([problem])
-    axes = _axes(document)
+    complaints: list[Complaint] = []
+    axes = sound_axes(document, complaints)
+    all_axes_sound = not complaints
+    complaints += document.complaints
+    expansion = Expansion(document, axes)
     # The first label of every axis completes the file: what a case sets need not stand twice.
-    first = _choose(document, axes, {})
+    first = expansion.document(dict.fromkeys(range(len(axes)), 0))
     try:
         experiment = Experiment.model_validate(first.data)
     except ValidationError as error:
-        raise first.error(problems_of(error)) from None
-    if problems := [*_unknown_names(experiment, axes)]:
-        raise first.error(problems)
-    expansion = _Expansion(document, axes)
-    units = tuple(expansion.units(experiment))
-    if expansion.complaints:
-        raise ConfigError("\n".join(dict.fromkeys(expansion.complaints)))
-    return Plan(path, document, experiment, axes, units)
-
-
-def _axes(document: Document) -> tuple[Axis, ...]:
-    try:
-        cases = _Cases.model_validate({"cases": document.data.get("cases") or {}}).cases
-    except ValidationError as error:
-        raise document.error(problems_of(error)) from None
-    axes = tuple(Axis.of(name, written) for name, written in cases.items())
-    can = (*_DATA, "estimators", "metrics")
-    problems = [
-        Problem(
-            ("cases", axis.name),
-            f"a case cannot change '{root[0]}'{did_you_mean(root[0], can)} (it can: {one_of(can)})",
+        complaints += first.complaints_of(
+            problem
+            for problem in problems_of(error)
+            # A case that cannot be applied may have set what is missing.
+            if all_axes_sound
+            or not problem.message.startswith("is required")
+            or problem.location[0] not in CHANGEABLE
         )
-        for axis in axes
-        for root in axis.roots
-        if root[0] not in ("data", *can)
-    ]
-    if problems:
-        raise document.error(problems)
-    return axes
+        raise error_of([*complaints, *expansion.complaints()]) from None
+    complaints += first.complaints_of(_unknown_names(experiment, axes))
+    units = expansion.units(experiment.estimators, experiment.metrics, complaints)
+    plan = Plan(path, document, experiment, axes, tuple(units))
+    complaints += document.complaints_of(_missing_paper(plan))
+    if complaints:
+        raise error_of(complaints)
+    return plan
 
 
-def _choose(document: Document, axes: tuple[Axis, ...], choice: Mapping[int, int]) -> Document:
-    """The document with every axis applied at its chosen label, the first where none is chosen."""
-    for i, axis in enumerate(axes):
-        index = choice.get(i, 0)
-        labelled = isinstance(document.data["cases"][axis.name], dict)
-        place = document.place(("cases", axis.name, str(axis.labels[index]) if labelled else index))
-        for path, value in axis.patches[index].items():
-            document = document.patched(path, value, place)
-    return document
-
-
-class _Expansion:
-    """The units of an experiment; each part is validated once for each choice of the axes that touch it."""
-
-    def __init__(self, document: Document, axes: tuple[Axis, ...]) -> None:
-        self._document, self._axes = document, axes
-        self._parts: dict[tuple[Any, ...], Any] = {}
-        self.complaints: list[str] = []
-
-    def units(self, experiment: Experiment) -> list[Unit]:
-        found = []
-        for name in experiment.estimators:
-            scored = [
-                metric
-                for metric, spec in experiment.metrics.items()
-                if spec.estimators is None or name in spec.estimators
-            ]
-            roots = {("data",), ("estimators", name), *(("metrics", metric) for metric in scored)}
-            relevant = [i for i, axis in enumerate(self._axes) if axis.roots & roots]
-            for indices in itertools.product(*(range(len(self._axes[i].labels)) for i in relevant)):
-                choice = dict(zip(relevant, indices, strict=True))
-                unit = self._unit(name, scored, choice)
-                if unit is not None:
-                    found.append((self._relevant(("data",), choice), unit))
-        return [unit for _, unit in sorted(found, key=lambda pair: pair[0])]
-
-    def _unit(self, name: str, scored: list[str], choice: dict[int, int]) -> Unit | None:
-        data = self._part(("data",), Data.model_validate, choice)
-        estimator = self._part(("estimators", name), Of("estimator").validate, choice)
-        metrics = {
-            metric: self._part(("metrics", metric), Of("metric").validate, choice) for metric in scored
-        }
-        if data is None or estimator is None or None in metrics.values():
-            return None
-        labels = {self._axes[i].name: self._axes[i].labels[j] for i, j in choice.items()}
-        unit = Unit(labels, name, data, estimator, metrics)
-        if problems := list(_mismatches(unit)):
-            document = _choose(self._document, self._axes, choice)
-            self.complaints += str(document.error(problems)).splitlines()
-        return unit
-
-    def _relevant(self, root: tuple[str, ...], choice: Mapping[int, int]) -> tuple[tuple[int, int], ...]:
-        return tuple((i, j) for i, j in sorted(choice.items()) if root in self._axes[i].roots)
-
-    def _part(self, root: tuple[str, ...], validate: Callable[[Any], Any], choice: Mapping[int, int]) -> Any:
-        relevant = self._relevant(root, choice)
-        if (root, relevant) not in self._parts:
-            document = _choose(self._document, self._axes, dict(relevant))
-            if root == ("data",):
-                location: Location = ()
-                raw: Any = {name: document.data[name] for name in _DATA if name in document.data}
-            else:
-                location, raw = root, document.data[root[0]][root[1]]
-            try:
-                self._parts[root, relevant] = validate(raw)
-            except ValidationError as error:
-                self._parts[root, relevant] = None
-                self.complaints += str(document.error(problems_of(error, location))).splitlines()
-        return self._parts[root, relevant]
-
-
-def _mismatches(unit: Unit) -> Iterator[Problem]:
-    """What does not fit together in a unit, though each part is sound."""
-    data = unit.data
-    try:
-        data.excitation.check(data.samples, data.dt or 1.0)
-    except ValueError as error:
-        yield Problem(("excitation",), str(error))
-    fewest = unit.estimator.fewest_samples()
-    if data.samples < fewest:
-        yield Problem(
-            ("estimators", unit.name), f"needs at least {fewest} samples, but samples is {data.samples}"
-        )
-    if not unit.metrics:
-        yield Problem(("estimators", unit.name), "no metric scores this estimator")
-    true, estimated = data.system.provides(), unit.estimator.provides()
-    for name, metric in unit.metrics.items():
-        for missing in sorted(metric.needs_of_truth() - true):
-            yield Problem(
-                ("metrics", name),
-                f"the metric '{metric.kind}' needs the {missing} of the system, which "
-                f"'{data.system.kind}' does not have (it has: {one_of(sorted(true))})",
-            )
-        for missing in sorted(metric.needs_of_estimate() - estimated):
-            yield Problem(
-                ("metrics", name),
-                f"the metric '{metric.kind}' needs the {missing} of the estimate, which estimator "
-                f"'{unit.name}' ({unit.estimator.kind}) does not give (it gives: "
-                f"{one_of(sorted(estimated))}); 'estimators:' under the metric limits it to some",
-            )
+def _missing_paper(plan: Plan) -> Iterator[Problem]:
+    if plan.paper is None:
+        if plan.experiment.published is not None:
+            yield Problem(("published",), "needs 'paper', the folder under experiments/ with the numbers")
+    elif not plan.paper.is_dir():
+        papers = sorted(folder.name for folder in plan.paper.parent.glob("*/"))
+        near = did_you_mean(plan.paper.name, papers)
+        yield Problem(("paper",), f"there is no folder {plan.paper}{near}")
 
 
 def _unknown_names(experiment: Experiment, axes: Sequence[Axis]) -> Iterator[Problem]:
@@ -363,8 +225,8 @@ def _unknown_names(experiment: Experiment, axes: Sequence[Axis]) -> Iterator[Pro
         if name not in known:
             yield Problem(
                 location,
-                f"no {what} has this name{did_you_mean(name, known)} (it has: {one_of(known)})",
-                name,
+                f"there is no {what} '{name}'{did_you_mean(name, known)} "
+                f"({f'there are: {one_of(known)}' if known else 'there is none'})",
             )
 
     labels: list[str] = []

@@ -1,0 +1,184 @@
+"""The units of work of an experiment: every estimator on every case that concerns it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from pydantic import ValidationError
+
+from hident.config.load import Document, Problem, problems_of
+from hident.config.spec import Of
+from hident.config.suggest import one_of
+from hident.config.yaml12 import Complaint, Location
+from hident.engine.cases import DATA, Axis, Label
+from hident.engine.trial import Data
+from hident.estimators.base import EstimatorSpec
+from hident.metrics.base import MetricSpec
+
+_MOST_UNITS = 100_000
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One estimator on one case: ``labels`` by axis, in the order of the axes."""
+
+    labels: dict[str, Label]
+    name: str
+    data: Data
+    estimator: EstimatorSpec
+    metrics: dict[str, MetricSpec]
+
+    @cached_property
+    def metric_labels(self) -> tuple[str, ...]:
+        return tuple(label for name, metric in self.metrics.items() for label in metric.labels(name))
+
+    def described(self) -> str:
+        """The unit in words, for messages."""
+        case = ", ".join(f"{axis} {label}" for axis, label in self.labels.items())
+        return f"estimator '{self.name}'" + (f" at {case}" if case else "")
+
+
+class Expansion:
+    """The units of an experiment; each part is validated once for each choice of the axes that touch it."""
+
+    def __init__(self, document: Document, axes: tuple[Axis, ...]) -> None:
+        self._document, self._axes = document, axes
+        self._parts: dict[tuple[Any, ...], Any] = {}
+        self._complaints: list[Complaint] = []
+
+    def document(self, choice: Mapping[int, int]) -> Document:
+        """The document with the chosen axes applied, each at its chosen label."""
+        document = self._document
+        for axis, index in sorted(choice.items()):
+            document = self._axes[axis].apply(document, index)
+        return document
+
+    def complaints(self) -> list[Complaint]:
+        """What is wrong with any part at any choice, whether or not the whole can be expanded."""
+        roots: list[tuple[str, ...]] = [("data",)]
+        for section in ("estimators", "metrics"):
+            if isinstance(named := self._document.data.get(section), Mapping):
+                roots += [(section, name) for name in named]
+        for root in roots:
+            choices = self._choices({root})
+            if 1 < choices.count <= _MOST_UNITS:
+                for choice in choices:
+                    self._part(root, choice)
+        return self._complaints
+
+    def units(
+        self, estimators: Iterable[str], metrics: Mapping[str, MetricSpec], complaints: list[Complaint]
+    ) -> list[Unit]:
+        """All units, those of one case together; what is wrong with any goes to the complaints."""
+        found: list[tuple[tuple[tuple[int, int], ...], Unit]] = []
+        for name in estimators:
+            scored = [
+                metric
+                for metric, spec in metrics.items()
+                if spec.estimators is None or name in spec.estimators
+            ]
+            roots = {("data",), ("estimators", name), *(("metrics", metric) for metric in scored)}
+            choices = self._choices(roots)
+            if len(found) + choices.count > _MOST_UNITS:
+                problem = Problem(("cases",), f"expands to more than {_MOST_UNITS} estimates")
+                self._complaints += self._document.complaints_of([problem])
+                break
+            for choice in choices:
+                unit = self._unit(name, scored, choice)
+                if unit is not None:
+                    found.append((self._relevant(("data",), choice), unit))
+        complaints += self._complaints
+        return [unit for _, unit in sorted(found, key=lambda pair: pair[0])]
+
+    def _unit(self, name: str, scored: list[str], choice: dict[int, int]) -> Unit | None:
+        data = self._part(("data",), choice)
+        estimator = self._part(("estimators", name), choice)
+        metrics = {metric: self._part(("metrics", metric), choice) for metric in scored}
+        if data is None or estimator is None or None in metrics.values():
+            return None
+        labels = {self._axes[i].name: self._axes[i].labels[j] for i, j in choice.items()}
+        unit = Unit(labels, name, data, estimator, metrics)
+        if problems := list(_mismatches(unit)):
+            self._complaints += self.document(choice).complaints_of(problems)
+        return unit
+
+    def _choices(self, roots: set[tuple[str, ...]]) -> _Choices:
+        relevant = [i for i, axis in enumerate(self._axes) if axis.roots & roots]
+        return _Choices({i: len(self._axes[i].labels) for i in relevant})
+
+    def _relevant(self, root: tuple[str, ...], choice: Mapping[int, int]) -> tuple[tuple[int, int], ...]:
+        return tuple((i, j) for i, j in sorted(choice.items()) if root in self._axes[i].roots)
+
+    def _part(self, root: tuple[str, ...], choice: Mapping[int, int]) -> Any:
+        relevant = self._relevant(root, choice)
+        if (root, relevant) not in self._parts:
+            document = self.document(dict(relevant))
+            location: Location = () if root == ("data",) else root
+            try:
+                self._parts[root, relevant] = _validated(root, document.data)
+            except ValidationError as error:
+                self._parts[root, relevant] = None
+                self._complaints += document.complaints_of(problems_of(error, location))
+        return self._parts[root, relevant]
+
+
+@dataclass(frozen=True)
+class _Choices:
+    """The product of some axes: for each the number of its labels."""
+
+    sizes: dict[int, int]
+
+    @property
+    def count(self) -> int:
+        return math.prod(self.sizes.values())
+
+    def __iter__(self) -> Iterator[dict[int, int]]:
+        for indices in itertools.product(*map(range, self.sizes.values())):
+            yield dict(zip(self.sizes, indices, strict=True))
+
+
+def _validated(root: tuple[str, ...], data: Mapping[str, Any]) -> Any:
+    match root:
+        case ("estimators", name):
+            return Of("estimator").validate(data["estimators"][name])
+        case ("metrics", name):
+            return Of("metric").validate(data["metrics"][name])
+        case _:
+            return Data.model_validate({name: data[name] for name in DATA if name in data})
+
+
+def _mismatches(unit: Unit) -> Iterator[Problem]:
+    """What does not fit together in a unit, though each part is sound."""
+    data = unit.data
+    try:
+        data.excitation.check(data.samples, data.dt or 1.0)
+    except (ValueError, ArithmeticError) as error:
+        yield Problem(("excitation",), str(error))
+    fewest = unit.estimator.fewest_samples()
+    if data.samples < fewest:
+        yield Problem(
+            ("estimators", unit.name), f"needs at least {fewest} samples, but samples is {data.samples}"
+        )
+        return
+    if not unit.metrics:
+        yield Problem(("estimators", unit.name), "no metric scores this estimator")
+    true, estimated = data.system.provides(), unit.estimator.provides()
+    for name, metric in unit.metrics.items():
+        for missing in sorted(metric.needs_of_truth() - true):
+            yield Problem(
+                ("metrics", name),
+                f"the metric '{metric.kind}' needs the {missing} of the system, which "
+                f"'{data.system.kind}' does not have (it has: {one_of(sorted(true))})",
+            )
+        for missing in sorted(metric.needs_of_estimate() - estimated):
+            yield Problem(
+                ("metrics", name),
+                f"the metric '{metric.kind}' needs the {missing} of the estimate, which estimator "
+                f"'{unit.name}' ({unit.estimator.kind}) does not give (it gives: "
+                f"{one_of(sorted(estimated))}); 'estimators:' under the metric limits it to some",
+            )

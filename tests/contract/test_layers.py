@@ -1,0 +1,86 @@
+"""Imports run downwards only, those for type checking included."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import hident
+
+ROOT = Path(hident.__file__).parent
+# From the top. A room may import from its own line and from those below it; rooms on one line stand side
+# by side and do not know each other.
+LAYERS = (
+    ("__main__",),
+    ("cli",),
+    ("commands",),
+    ("progress",),
+    ("reports",),
+    ("ledger",),
+    ("engine",),
+    ("estimators", "metrics"),
+    ("signals",),
+    ("systems",),
+    ("records", "plugins"),
+    ("config",),
+    ("errors", "__init__"),
+)
+# Records and estimates hold a linear block, and name its type for type checkers only.
+EXCEPTIONS = {("records", "systems.linear")}
+HEIGHT = {room: -level for level, rooms in enumerate(LAYERS) for room in rooms}
+MODULES = sorted(ROOT.rglob("*.py"))
+
+
+def room_of(module):
+    return module.split(".")[0] or "__init__"
+
+
+def imports(path):
+    """The modules of hident that a file imports anywhere, relative to hident."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}:{node.lineno}: relative imports hide their room"
+            if node.module == "hident":
+                for alias in node.names:
+                    known = (ROOT / f"{alias.name}.py").exists() or (ROOT / alias.name).is_dir()
+                    yield alias.name if known else ""
+            elif node.module and node.module.startswith("hident."):
+                yield node.module.removeprefix("hident.")
+        elif isinstance(node, ast.Import):
+            for alias in node.names:
+                if alias.name.split(".")[0] == "hident":
+                    yield alias.name.partition(".")[2]
+
+
+def test_every_room_has_its_place():
+    rooms = {room_of(".".join(path.relative_to(ROOT).with_suffix("").parts)) for path in MODULES}
+    assert rooms == set(HEIGHT)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_imports_run_downwards(path):
+    module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    here = room_of(module)
+    wrong = [
+        imported
+        for imported in imports(path)
+        if room_of(imported) != here
+        and HEIGHT[room_of(imported)] >= HEIGHT[here]
+        and (module, imported) not in EXCEPTIONS
+    ]
+    assert not wrong, f"{module} imports {wrong}"
+
+
+def test_the_exceptions_are_in_use():
+    assert all(imported in imports(ROOT / f"{module}.py") for module, imported in EXCEPTIONS)
+
+
+@pytest.mark.parametrize("room", ["estimators", "metrics", "signals", "systems"])
+def test_numerical_rooms_do_not_write_or_print(room):
+    for path in (ROOT / room).glob("*.py"):
+        called = {
+            node.func.id
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+        }
+        assert not called & {"open", "print", "input", "exec", "eval"}, path

@@ -1,0 +1,170 @@
+import subprocess
+import sys
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from hident import plugins
+from hident.config.spec import canonical, components
+from hident.engine.experiment import load
+from hident.errors import ConfigError
+
+PLUGIN = '''
+import numpy as np
+
+from hident.config.spec import Real, component
+from hident.estimators.base import EstimatorSpec
+from hident.records import Estimate
+
+
+@component("estimator", "{kind}", source="Nobody 2001")
+class Mean(EstimatorSpec):
+    """The mean of the output, whatever the input."""
+
+    scale: Real = 1.0
+    """Factor."""
+
+    def provides(self):
+        return frozenset({{"value mean"}})
+
+    def fit(self, record, rng):
+        return Estimate(values={{"mean": self.scale * float(np.mean(record.y))}})
+'''
+CONFIG = """\
+version: 1
+title: A plugin's estimator
+trials: 2
+samples: 20
+system: {kind: hammerstein, nonlinearity: identity, linear: {kind: fir, b: [1]}}
+excitation: {kind: iid, distribution: uniform, low: 0, high: 1}
+estimators: {mean: {kind: plugin_mean, scale: 2}}
+metrics: {mean: {kind: value, of: [mean]}}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _own_register(monkeypatch):
+    """What a test registers is forgotten after it."""
+    plugins.load()
+    register = {family: dict(components(family)) for family in ("estimator", "metric", "system")}
+    from hident.config import spec
+
+    monkeypatch.setattr(spec, "_REGISTER", {**spec._REGISTER, **register})
+    before = set(sys.modules)
+    yield
+    for name in set(sys.modules) - before:
+        del sys.modules[name]
+
+
+def refused(*files):
+    with pytest.raises(ConfigError) as caught:
+        plugins.load(files)
+    return str(caught.value)
+
+
+def test_a_file_adds_an_estimator(tmp_path):
+    (tmp_path / "mine.py").write_text(PLUGIN.format(kind="plugin_mean"))
+    (tmp_path / "a.yaml").write_text(CONFIG)
+    plugins.load([tmp_path / "mine.py"])
+    plugins.load([tmp_path / "mine.py"])
+    plan = load(tmp_path / "a.yaml")
+    assert canonical(plan.units[0].estimator) == {"kind": "plugin_mean", "scale": 2.0}
+    assert components("estimator")["plugin_mean"].summary() == "The mean of the output, whatever the input."
+
+
+def test_the_command_line_lists_and_validates_with_it(tmp_path):
+    (tmp_path / "mine.py").write_text(PLUGIN.format(kind="plugin_mean"))
+    (tmp_path / "a.yaml").write_text(CONFIG)
+
+    def hident(*arguments):
+        return subprocess.run(
+            [sys.executable, "-m", "hident", *arguments],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    shown = hident("list", "estimators", "plugin_mean", "--plugin", "mine.py")
+    assert shown.stdout.splitlines() == [
+        "plugin_mean: The mean of the output, whatever the input.",
+        "source: Nobody 2001",
+        "",
+        "key    holds   default  meaning",
+        "scale  number  1.0      Factor.",
+    ]
+    assert hident("validate", "a.yaml", "--plugin", "mine.py").stdout == (
+        "a.yaml: fine: 1 case, 1 estimate of 2 trials\n"
+    )
+    without = hident("validate", "a.yaml")
+    assert without.returncode == 2
+    assert without.stderr.startswith("error: a.yaml:7: estimators.mean.kind: unknown estimator (allowed: ")
+
+
+def test_files_of_one_name_in_two_folders(tmp_path):
+    for kind in ("one", "two"):
+        (tmp_path / kind).mkdir()
+        (tmp_path / kind / "mine.py").write_text(PLUGIN.format(kind=f"plugin_{kind}"))
+    plugins.load([tmp_path / "one" / "mine.py", tmp_path / "two" / "mine.py"])
+    assert {"plugin_one", "plugin_two"} <= set(components("estimator"))
+
+
+def test_an_installed_plugin_is_found_by_its_entry_point(tmp_path, monkeypatch):
+    (tmp_path / "some_installed_plugin.py").write_text(PLUGIN.format(kind="plugin_installed"))
+    monkeypatch.syspath_prepend(tmp_path)
+    point = EntryPoint("mine", "some_installed_plugin", plugins.GROUP)
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [point] if group == "hident.plugins" else [])
+    plugins.load()
+    assert "plugin_installed" in components("estimator")
+
+
+def test_a_broken_installed_plugin_is_named(monkeypatch):
+    point = EntryPoint("mine", "no_such_module:thing", plugins.GROUP)
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [point])
+    assert refused() == (
+        "plugin 'mine' (no_such_module:thing) cannot be loaded: "
+        "ModuleNotFoundError: No module named 'no_such_module'"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("missing.py", None, ": no such file"),
+        ("mine.txt", "", ": is not a Python file"),
+        ("mine.py", "1/0", " cannot be loaded: ZeroDivisionError: division by zero"),
+        ("mine.py", "import sys; sys.exit('enough')", " cannot be loaded: SystemExit: enough"),
+        ("mine.py", "def f(:", " cannot be loaded: SyntaxError: invalid syntax (mine.py, line 1)"),
+        (
+            "mine.py",
+            PLUGIN.format(kind="kernel"),
+            " cannot be loaded: ValueError: estimator 'kernel' is already defined in "
+            "hident.estimators.kernel",
+        ),
+    ],
+)
+def test_a_file_that_cannot_be_loaded(tmp_path, name, text, message):
+    path = tmp_path / name
+    if text is not None:
+        path.write_text(text)
+    assert refused(path) == f"plugin {path}{message}"
+
+
+def test_all_that_cannot_be_loaded_is_told_and_the_rest_is_loaded(tmp_path):
+    (tmp_path / "good.py").write_text(PLUGIN.format(kind="plugin_good"))
+    (tmp_path / "bad.py").write_text("x")
+    files = [tmp_path / "none.py", tmp_path / "good.py", tmp_path / "bad.py"]
+    assert refused(*files).splitlines() == [
+        f"plugin {tmp_path}/none.py: no such file",
+        f"plugin {tmp_path}/bad.py cannot be loaded: NameError: name 'x' is not defined",
+    ]
+    assert "plugin_good" in components("estimator")
+
+
+def test_a_file_that_failed_is_tried_again(tmp_path):
+    path = tmp_path / "mine.py"
+    path.write_text("1/0")
+    assert "ZeroDivisionError" in refused(path)
+    path.write_text(PLUGIN.format(kind="plugin_again") + "\n# longer, so that no stale bytecode is used\n")
+    plugins.load([path])
+    assert "plugin_again" in components("estimator")
