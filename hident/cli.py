@@ -2,16 +2,35 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
-from hident.errors import Exit, HidentError
+from hident.errors import HidentError
+
+_PIPE_CLOSED = 141
+"""What a shell reports of a program whose reader, such as head, has gone."""
+
+
+class _Verbs(TyperGroup):
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            result = super().invoke(ctx)
+            sys.stdout.flush()
+        except BrokenPipeError:
+            # What is left in the buffer must not be tried again at the end of the process.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise typer.Exit(_PIPE_CLOSED) from None
+        return result
+
 
 app = typer.Typer(
+    cls=_Verbs,
     no_args_is_help=True,
     add_completion=False,
     context_settings={"max_content_width": 110},
@@ -60,20 +79,12 @@ def main() -> None:
     try:
         app()
     except HidentError as error:
-        _fail(str(error), error.exit_code)
-    except BrokenPipeError:
-        # The reader of a pipe, such as head, has gone.
-        sys.stderr.close()
-        sys.exit(Exit.FINE)
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
 
 
 def _options(trials: int | None, seed: int | None) -> dict[str, int | None]:
     return {"trials": trials, "seed": seed}
-
-
-def _fail(message: str, code: Exit) -> None:
-    print(f"error: {message}", file=sys.stderr)
-    sys.exit(code)
 
 
 @app.command("list")
@@ -82,7 +93,7 @@ def list_(
     kind: Annotated[str | None, typer.Argument(help="One component, to see its fields.")] = None,
     plugin: Plugins = None,
 ) -> None:
-    """List the components that a configuration can use, or the configurations."""
+    """List the components that a configuration can use."""
     from hident import commands
 
     families = [what.value] if what else [listed.value for listed in Listed]
@@ -100,7 +111,10 @@ def validate(
     seed: Seed = None,
     plugin: Plugins = None,
 ) -> None:
-    """Check configurations without running them; all errors of a file are shown at once."""
+    """Check configurations without running them.
+
+    All errors of all files are shown at once.
+    """
     from hident import commands
 
     for plan in commands.load_plans(configs, assignments, _options(trials, seed), plugin or ()):
@@ -125,7 +139,10 @@ def run(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress and no tables.")] = False,
     plugin: Plugins = None,
 ) -> None:
-    """Run experiments: compute what is not stored yet, and write tables, figures and verdicts."""
+    """Run experiments, and write tables, figures and verdicts.
+
+    Only trials that are not stored yet are computed.
+    """
     from hident import commands
 
     plans = commands.load_plans(configs, assignments, _options(trials, seed), plugin or ())
@@ -145,7 +162,7 @@ def status(
     store: StoreFolder = _STORE,
     plugin: Plugins = None,
 ) -> None:
-    """Show how many trials of each configuration are stored, and whether its outputs are up to date."""
+    """Show how many trials are stored, and the state of outputs."""
     from hident import commands
 
     chosen = configs or commands.all_configs()
@@ -162,7 +179,10 @@ def compare(
         bool, typer.Option("--complete", help="A configuration that was not run is a difference too.")
     ] = False,
 ) -> None:
-    """Compare results cell by cell; a missing or extra file, row, column or trial is a difference."""
+    """Compare two folders of results, cell by cell.
+
+    A missing or extra file, row or column is a difference.
+    """
     from hident import commands
 
     raise typer.Exit(commands.print_comparison(ours, reference, rtol, complete=complete))
@@ -174,7 +194,10 @@ def accept(
     out: Out = _OUT,
     results: Annotated[Path, typer.Option(help="Folder of the accepted results.")] = _RESULTS,
 ) -> None:
-    """Make the outputs of configurations the accepted results; nothing else changes results/."""
+    """Make the outputs of a run the accepted results.
+
+    Nothing else changes results/.
+    """
     from hident.ledger.accept import accept
 
     for config in configs:
@@ -191,7 +214,7 @@ def verify(
         bool, typer.Option("--complete", help="Every printed number of a paper must be judged.")
     ] = False,
 ) -> None:
-    """Check that every number that differs from a printed one has its reason."""
+    """Check that each number that differs has its reason."""
     from hident import commands
 
     if folder is None:
@@ -217,7 +240,10 @@ def export(
     store: StoreFolder = _STORE,
     plugin: Plugins = None,
 ) -> None:
-    """Write the stored trials of a configuration, one row for each trial and metric."""
+    """Write the stored trials to CSV or Parquet.
+
+    One row for each trial and metric.
+    """
     from hident import commands
 
     plan = commands.load_plans([config], assignments, _options(trials, seed), plugin or ())[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
 import sys
 import textwrap
 import time
@@ -84,7 +85,8 @@ def run_plans(
     quiet: bool,
 ) -> Exit:
     """Run plans one after the other on one set of workers; a single one's tables are printed."""
-    from hident.engine.executors import make_executor, usable_cores
+    from hident.engine.executors import end, make_executor, usable_cores
+    from hident.reports.output import keep_tracebacks
 
     workers = jobs or usable_cores()
     executor = make_executor(workers, plugin_files)
@@ -96,19 +98,22 @@ def run_plans(
                 if not quiet and len(plans) == 1:
                     print((place.out / plan.name / "table.md").read_text(encoding="utf-8"))
             except CrashReport as crash:
-                where = _keep_tracebacks(crash, place.out / plan.name)
+                kept = keep_tracebacks(crash.tracebacks, place.out / plan.name)
+                where = f"\nTracebacks: {kept}" if kept else f"\n{crash.tracebacks}"
                 print(f"error: {plan.name}: {crash}{where}", file=sys.stderr)
                 code = crash.exit_code
                 if not keep_going:
                     break
+        executor.shutdown()
     except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         print(
-            f"\ninterrupted: all finished trials are kept in {place.store}; the same command resumes",
+            f"interrupted: all stored trials are kept in {place.store}; the same command resumes",
             file=sys.stderr,
         )
-        return Exit.INTERRUPTED
+        code = Exit.INTERRUPTED
     finally:
-        executor.shutdown(wait=False, cancel_futures=True)
+        end(executor)
     return code
 
 
@@ -119,36 +124,29 @@ def _run_plan(
     from hident.progress import chosen
     from hident.reports.output import output_key, up_to_date, write
 
-    start = time.perf_counter()
     trials, seed, folder = plan.experiment.trials, plan.experiment.seed, place.out / plan.name
-    if up_to_date(folder, output_key(plan, seed, trials)):
-        note = f"{plan.name}: {folder} is up to date"
-    else:
-        results = run(
-            plan,
-            Store(place.store),
-            executor,
-            workers,
-            trials=trials,
-            seed=seed,
-            keep_going=keep_going,
-            wait_for_store=place.wait,
-            progress=chosen(plan.name, quiet=quiet),
-        )
-        wall = round(time.perf_counter() - start, 3)
-        write(results, folder, {"workers": workers, "wall_seconds": wall})
-        note = f"{plan.name}: wrote {folder}"
+    key = output_key(plan, seed, trials)
+    note = f"{plan.name}: {folder} is up to date"
+    if not up_to_date(folder, key):
+        with Store(place.store).writing(place.wait) as writer:
+            # Asked again, as another run may have held the store until now.
+            if not up_to_date(folder, key):
+                start = time.perf_counter()
+                results = run(
+                    plan,
+                    writer,
+                    executor,
+                    workers,
+                    trials=trials,
+                    seed=seed,
+                    keep_going=keep_going,
+                    progress=chosen(plan.name, quiet=quiet),
+                )
+                wall = round(time.perf_counter() - start, 3)
+                write(results, folder, {"workers": workers, "wall_seconds": wall})
+                note = f"{plan.name}: wrote {folder}"
     if not quiet:
         print(note, file=sys.stderr)
-
-
-def _keep_tracebacks(crash: CrashReport, folder: Path) -> str:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "crashes.txt").write_text(crash.tracebacks, encoding="utf-8")
-    except OSError:
-        return ""
-    return f"\nTracebacks: {folder / 'crashes.txt'}"
 
 
 def print_listing(families: Sequence[str], plugin_files: Iterable[Path]) -> None:
@@ -306,6 +304,8 @@ def export(plan: Plan, folder: Path, file: Path) -> str:
         raise ConfigError("writing Parquet needs pyarrow: pip install 'hident[parquet]'") from None
     except OSError as error:
         raise StoreError(f"{file} cannot be written: {(error.strerror or str(error)).lower()}") from None
+    finally:
+        temporary.unlink(missing_ok=True)
     wanted = trials * len(plan.units)
     done = sum(len(found[key]) for key in keys)
     missing = "" if done == wanted else f"; {wanted - done} trials are not computed yet (hident run)"

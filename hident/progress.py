@@ -40,7 +40,7 @@ class Lines:
     def advance(self, trials: int) -> None:
         self._done += trials
         now = time.monotonic()
-        if now - self._last >= _EVERY_SECONDS and self._done < self._total:
+        if self._stored < self._done < self._total and now - self._last >= _EVERY_SECONDS:
             self._last = now
             rate = (self._done - self._stored) / (now - self._start)
             left = (self._total - self._done) / rate

@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from functools import cache
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, TypeVar
 
 from hident import plugins
+from hident.errors import ConfigError
 
 T = TypeVar("T")
 
@@ -35,18 +39,42 @@ class SerialExecutor(Executor):
         return future
 
 
+class PoolExecutor(ProcessPoolExecutor):
+    """Processes that know the plugins; they ignore Ctrl-C, and end when their parent does."""
+
+    def __init__(self, workers: int, plugin_files: tuple[Path, ...]) -> None:
+        # Workers are started afresh: forking a process with threads (BLAS, a progress bar) may deadlock.
+        method = "spawn" if sys.platform == "win32" else "forkserver"
+        context = multiprocessing.get_context(method)
+        if method == "forkserver":
+            context.set_forkserver_preload(["hident.engine.trial"])
+        super().__init__(workers, mp_context=context, initializer=_start_worker)
+        self._plugin_files = plugin_files
+
+    def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+        # Pickled here and unpickled within the call, an error in either is an exception of this call,
+        # where the pool itself would lose its workers.
+        try:
+            call = pickle.dumps((fn, args, kwargs))
+        except Exception as error:
+            raise ConfigError(
+                f"a component cannot be sent to worker processes ({error}): define its class at the top "
+                "level of its module, or run with --jobs 1"
+            ) from None
+        with _interrupts_blocked():
+            return super().submit(_call, self._plugin_files, call)
+
+
 def make_executor(workers: int, plugin_files: Iterable[Path] = ()) -> Executor:
     """A serial executor for one worker, else a pool of processes."""
-    if workers == 1:
-        return SerialExecutor()
-    # Workers are started afresh: forking a process with threads (BLAS, a progress bar) may deadlock.
-    method = "spawn" if sys.platform == "win32" else "forkserver"
-    context = multiprocessing.get_context(method)
-    if method == "forkserver":
-        context.set_forkserver_preload(["hident.engine.trial"])
-    return ProcessPoolExecutor(
-        workers, mp_context=context, initializer=_start_worker, initargs=(tuple(plugin_files),)
-    )
+    return SerialExecutor() if workers == 1 else PoolExecutor(workers, tuple(plugin_files))
+
+
+def end(executor: Executor) -> None:
+    """End an executor now, whatever its workers are doing."""
+    for worker in multiprocessing.active_children():
+        worker.kill()
+    executor.shutdown(cancel_futures=True)
 
 
 def usable_cores() -> int:
@@ -56,6 +84,7 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
+@cache
 def pin_blas() -> None:
     """Hold all BLAS libraries of this process to one thread."""
     import scipy.linalg  # noqa: F401  (its BLAS must be loaded to be held)
@@ -64,12 +93,22 @@ def pin_blas() -> None:
     threadpool_limits(1)
 
 
-def _start_worker(plugin_files: tuple[Path, ...]) -> None:
-    # Ctrl-C is for the parent, which lets the chunks in flight finish.
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Let the processes that are started here inherit that Ctrl-C is not for them."""
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _start_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    plugins.load(plugin_files)
-    pin_blas()
 
 
 def _end_with_parent() -> None:
@@ -77,3 +116,15 @@ def _end_with_parent() -> None:
     if parent is not None:
         wait([parent.sentinel])
         os._exit(1)
+
+
+def _call(plugin_files: tuple[Path, ...], call: bytes) -> Any:
+    _prepare(plugin_files)
+    fn, args, kwargs = pickle.loads(call)
+    return fn(*args, **kwargs)
+
+
+@cache
+def _prepare(plugin_files: tuple[Path, ...]) -> None:
+    plugins.load(plugin_files)
+    pin_blas()

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import version
+from importlib.util import resolve_name
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,11 @@ from hident.config.spec import Spec
 from hident.engine.trial import digest
 
 _LIBRARIES = ("numpy", "scipy", "finufft")
+_PACKAGE = "hident"
 _TRIAL = "hident.engine.trial"
-# These read configurations and word messages: no number depends on them once the specs are made.
-_WORDS = {"hident.config.spec", "hident.config.load", "hident.config.suggest", "hident.errors"}
+# The version, the reading of configurations, the wording of messages: once the specs are made, no number
+# depends on them.
+_WORDS = {"hident", "hident.config.spec", "hident.config.load", "hident.config.suggest", "hident.errors"}
 
 
 @cache
@@ -29,13 +32,14 @@ def fingerprint(specs: Iterable[Spec]) -> str:
     """Hash of the code that a trial of these specs runs through, docstrings and comments left out.
 
     It covers the modules of the specs and of all specs inside them, the trial itself, and every module of
-    the package that these import; so a changed algorithm reruns what used it, and nothing else.
+    this package, or of a plugin's own, that these import; so a changed algorithm reruns what used it, and
+    nothing else.
     """
     return code({_TRIAL, *(type(inner).__module__ for spec in specs for inner in _within(spec))})
 
 
 def code(modules: Iterable[str]) -> str:
-    """Hash of the code of loaded modules and of all modules of this package that they import."""
+    """Hash of the code of loaded modules and of what they import of this package or their own."""
     return _of_modules(frozenset(modules))
 
 
@@ -48,24 +52,28 @@ def _of_modules(modules: frozenset[str]) -> str:
         if module not in known:
             known[module], imports = _of_module(module)
             waiting += imports
-    return digest(known)
+    # Without the names: a plugin's holds its folder, and moving that changes no number.
+    return digest(sorted(known.values()))
 
 
 @cache
 def _of_module(module: str) -> tuple[str, tuple[str, ...]]:
-    """The hash of one module's code, and the modules of this package that it imports."""
+    """The hash of one module's code, and the modules of its own and of this package that it imports."""
     path = _path(module)
     if path is None:
         return "", ()
     tree = ast.parse(path.read_bytes())
+    package = sys.modules[module].__package__ or ""
     imports = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             imports |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            imports |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+        elif isinstance(node, ast.ImportFrom):
+            name = resolve_name("." * node.level + (node.module or ""), package)
+            imports |= {name, *(f"{name}.{alias.name}" for alias in node.names)}
         _strip_docstring(node)
-    inside = {name for name in imports if name.startswith("hident.") and _path(name) is not None} - _WORDS
+    followed = {_PACKAGE, module.partition(".")[0]}
+    inside = {name for name in imports if name.partition(".")[0] in followed and _path(name)} - _WORDS
     return digest(ast.dump(tree)), tuple(sorted(inside))
 
 
@@ -85,12 +93,9 @@ def _strip_docstring(node: ast.AST) -> None:
 
 
 def _path(module: str) -> Path | None:
-    """The file of a module; a package's own file holds no code."""
-    loaded = sys.modules.get(module)
-    file = getattr(loaded, "__file__", None)
-    if file is None or Path(file).name == "__init__.py":
-        return None
-    return Path(file)
+    """The source file of a loaded module, if it has one."""
+    file = getattr(sys.modules.get(module), "__file__", None)
+    return Path(file) if file is not None and file.endswith(".py") else None
 
 
 def _within(value: Any) -> Iterator[Spec]:

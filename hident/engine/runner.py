@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -19,6 +22,7 @@ from hident.engine.trial import Data, Job, Outcome, digest, run_trials
 from hident.errors import TrialsCrashed
 
 _CHUNK_SECONDS = 0.25
+_POLL_SECONDS = 0.1
 _LARGEST_CHUNK = 1000
 
 
@@ -56,12 +60,8 @@ class Crash:
 
     unit: Unit
     trial: int
+    error: str
     traceback: str
-
-    @property
-    def error(self) -> str:
-        """The last line of the traceback: the exception and its message."""
-        return self.traceback.strip().splitlines()[-1]
 
 
 @dataclass
@@ -112,14 +112,13 @@ def stored(plan: Plan, store: Store, trials: int, seed: int) -> list[int]:
 
 def run(
     plan: Plan,
-    store: Store,
+    writer: Writer,
     executor: Executor,
     workers: int,
     *,
     trials: int,
     seed: int,
     keep_going: bool = False,
-    wait_for_store: float = 0.0,
     progress: Progress | None = None,
 ) -> Results:
     """Compute the missing trials of all units and return all trials.
@@ -128,24 +127,27 @@ def run(
     ------
     TrialsCrashed
         If a trial ended in an error that is not a result; finished trials are kept.
-    StoreBusy, StoreError
-        If the store is held by another run, or cannot be used.
+    StoreError
+        If the store cannot be used.
     KeyboardInterrupt
-        After the chunks in flight are stored.
+        At Ctrl-C; with several workers when the chunks in flight are stored, and at a second one at once.
     """
     progress = progress or Silent()
     keys = [unit_key(unit, seed) for unit in plan.units]
-    with store.writing(wait_for_store) as writer:
-        found = {key: {t.trial for t in done} for key, done in writer.read(keys, trials).items()}
-        cases = _cases(plan.units, [found[key] for key in keys], trials)
-        done = sum(len(found[key]) for key in keys)
-        progress.start(len(keys) * trials, done)
-        try:
-            if done < len(keys) * trials:
-                _compute(plan, keys, cases, writer, executor, workers, seed, keep_going, progress)
-        finally:
-            progress.finish()
-        complete = writer.read(keys, trials)
+    found = {key: {t.trial for t in done} for key, done in writer.read(keys, trials).items()}
+    cases = _cases(plan.units, [found[key] for key in keys], trials)
+    done = sum(len(found[key]) for key in keys)
+    progress.start(len(keys) * trials, done)
+    try:
+        _compute(plan, keys, cases, writer, executor, workers, seed, keep_going, progress)
+    except BrokenExecutor:
+        raise TrialsCrashed(
+            "a worker process ended abruptly: it was killed, perhaps for want of memory, or an estimator "
+            "ended it.\nAll finished trials are kept: run again, with fewer --jobs if memory is short."
+        ) from None
+    finally:
+        progress.finish()
+    complete = writer.read(keys, trials)
     series = [
         Series(unit, label, values)
         for unit, key in zip(plan.units, keys, strict=True)
@@ -182,51 +184,74 @@ def _compute(
     progress: Progress,
 ) -> None:
     chunks = _chunks(plan.units, cases)
+    # A worker finds its next chunk waiting while this process stores the last one.
+    most = 2 * workers if workers > 1 else 1
     pending: dict[Future[tuple[list[Outcome], float]], tuple[_Case, int]] = {}
     crashes: list[Crash] = []
 
-    def collect(future: Future[tuple[list[Outcome], float]]) -> None:
-        case, size = pending.pop(future)
-        if future.cancelled():
-            return
-        outcomes, seconds = future.result()
-        case.seconds = seconds / size
-        good = [outcome for outcome in outcomes if not outcome.crash]
-        index = {outcome.job: case.units[outcome.job] for outcome in outcomes}
-        writer.add(
-            {keys[i]: _described(plan, plan.units[i]) for i in index.values()},
-            [(keys[index[o.job]], Trial(o.trial, o.values, o.failure)) for o in good],
-        )
-        crashes.extend(Crash(plan.units[index[o.job]], o.trial, o.crash) for o in outcomes if o.crash)
-        progress.advance(len(good))
+    def submit() -> None:
+        while len(pending) < most and (keep_going or not crashes):
+            chunk = next(chunks, None)
+            if chunk is None:
+                return
+            case, jobs, wanted = chunk
+            pending[executor.submit(_timed, case.data, jobs, wanted, seed)] = (case, len(wanted))
 
-    try:
-        while True:
-            while len(pending) < (2 * workers if workers > 1 else 1) and (keep_going or not crashes):
-                chunk = next(chunks, None)
-                if chunk is None:
-                    break
-                case, jobs, wanted = chunk
-                pending[executor.submit(_timed, case.data, jobs, wanted, seed)] = (case, len(wanted))
-            if not pending:
-                break
-            for future in wait(pending, return_when=FIRST_COMPLETED).done:
-                collect(future)
-    except KeyboardInterrupt:
-        progress.stopping()
-        for future in list(pending):
-            future.cancel()
-        wait(pending)
-        for future in list(pending):
-            collect(future)
-        raise
-    except BrokenExecutor:
-        raise TrialsCrashed(
-            "a worker process was ended from outside, perhaps for want of memory; all finished trials "
-            "are kept: run again, with fewer --jobs if memory is short"
-        ) from None
+    def collect() -> None:
+        done = wait(pending, _POLL_SECONDS, FIRST_COMPLETED).done
+        # What is finished is stored before an error ends the run.
+        for future in sorted(done, key=lambda future: future.exception() is not None):
+            store(*future.result(), *pending.pop(future))
+
+    def store(outcomes: Sequence[Outcome], seconds: float, case: _Case, size: int) -> None:
+        case.seconds = seconds / size
+        finished = [(case.units[o.job], o) for o in outcomes if not o.crash]
+        writer.add(
+            {keys[i]: _described(plan, plan.units[i]) for i, _ in finished},
+            [(keys[i], Trial(o.trial, o.values, o.failure)) for i, o in finished],
+        )
+        crashes.extend(
+            Crash(plan.units[case.units[o.job]], o.trial, o.failure, o.crash) for o in outcomes if o.crash
+        )
+        progress.advance(len(finished))
+
+    # Alone, this process is inside a trial at Ctrl-C, and need not wait for another one.
+    with _interrupt_deferred() if workers > 1 else nullcontext(threading.Event()) as interrupted:
+        submit()
+        while pending and not interrupted.is_set():
+            collect()
+            submit()
+        if interrupted.is_set():
+            for future in [future for future in pending if future.cancel()]:
+                del pending[future]
+            if pending:
+                progress.stopping()
+            while pending:
+                collect()
+            raise KeyboardInterrupt
     if crashes:
         raise CrashReport(crashes)
+
+
+@contextmanager
+def _interrupt_deferred() -> Iterator[threading.Event]:
+    """The first Ctrl-C sets the event instead of raising KeyboardInterrupt; the next one raises it."""
+    event = threading.Event()
+    usual = signal.default_int_handler
+    in_main = threading.current_thread() is threading.main_thread()
+    if not in_main or signal.getsignal(signal.SIGINT) is not usual:
+        yield event
+        return
+
+    def first(number: int, frame: object) -> None:
+        signal.signal(signal.SIGINT, usual)
+        event.set()
+
+    signal.signal(signal.SIGINT, first)
+    try:
+        yield event
+    finally:
+        signal.signal(signal.SIGINT, usual)
 
 
 class CrashReport(TrialsCrashed):
@@ -234,7 +259,7 @@ class CrashReport(TrialsCrashed):
 
     def __init__(self, crashes: Sequence[Crash]) -> None:
         first = crashes[0]
-        more = f" ({len(crashes) - 1} more like it or others)" if len(crashes) > 1 else ""
+        more = f" (and {len(crashes) - 1} more)" if len(crashes) > 1 else ""
         super().__init__(
             f"trial {first.trial} of {first.unit.described()} crashed{more}: {first.error}\n"
             "All finished trials are kept; a run after the repair resumes."

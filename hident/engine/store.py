@@ -7,11 +7,12 @@ a checksum: a damaged row counts as not computed.
 
 from __future__ import annotations
 
+import errno
 import json
 import sqlite3
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,13 +24,17 @@ from hident.errors import StoreBusy, StoreError
 from hident.records import Array
 
 _FORMAT = 1
-_SCHEMA = """
-CREATE TABLE IF NOT EXISTS units (key TEXT PRIMARY KEY, described TEXT NOT NULL) WITHOUT ROWID;
-CREATE TABLE IF NOT EXISTS trials (
+_SCHEMA = f"""
+BEGIN;
+CREATE TABLE units (key TEXT PRIMARY KEY, described TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE trials (
     key TEXT NOT NULL, trial INTEGER NOT NULL, data BLOB NOT NULL, failure TEXT NOT NULL,
     checksum INTEGER NOT NULL, PRIMARY KEY (key, trial)
 ) WITHOUT ROWID;
+PRAGMA user_version = {_FORMAT};
+COMMIT;
 """
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +46,8 @@ class Trial:
     failure: str = ""
 
 
-def _checksum(key: str, trial: Trial) -> int:
-    head = f"{key} {trial.trial} {trial.failure} ".encode()
-    return zlib.crc32(trial.values.tobytes(), zlib.crc32(head))
+def _checksum(key: str, trial: int, data: bytes, failure: str) -> int:
+    return zlib.crc32(data, zlib.crc32(f"{key} {trial} {failure} ".encode()))
 
 
 class Store:
@@ -77,11 +81,15 @@ class Store:
                 f"another run holds the trials store {self.path}; try again when it has ended, "
                 "or wait for it with --wait SECONDS"
             ) from None
-        except OSError as error:
+        except (OSError, NotImplementedError) as error:
             raise self._unusable(error) from None
         try:
             with self._connected(create=True) as connection:
-                yield Writer(self, connection)
+                # Writing into a damaged tree would damage it further.
+                fault = connection.execute("PRAGMA quick_check(1)").fetchone()[0].decode()
+                if fault != "ok":
+                    raise self._damaged(fault.splitlines()[-1])
+                yield Writer(connection)
         finally:
             lock.release()
 
@@ -90,22 +98,7 @@ class Store:
         if not self.path.exists():
             return {key: [] for key in keys}
         with self._connected(create=False) as connection:
-            return self.read_from(connection, keys, below)
-
-    def read_from(
-        self, connection: sqlite3.Connection, keys: Iterable[str], below: int
-    ) -> dict[str, list[Trial]]:
-        found: dict[str, list[Trial]] = {}
-        query = "SELECT trial, data, failure, checksum FROM trials WHERE key = ? AND trial < ? ORDER BY trial"
-        for key in keys:
-            found[key] = []
-            for number, data, failure, checksum in connection.execute(query, (key, below)):
-                if len(data) % 8:
-                    continue
-                trial = Trial(number, np.frombuffer(data, dtype="<f8"), failure)
-                if _checksum(key, trial) == checksum:
-                    found[key].append(trial)
-        return found
+            return _read(connection, keys, below)
 
     def count(self) -> int:
         """How many trials the store holds."""
@@ -116,71 +109,88 @@ class Store:
 
     @contextmanager
     def _connected(self, *, create: bool) -> Iterator[sqlite3.Connection]:
-        connection = None
+        mode = "rwc" if create else "rw"
         try:
-            mode = "rwc" if create else "rw"
-            connection = sqlite3.connect(f"{self.path.resolve().as_uri()}?mode={mode}", uri=True)
-            connection.execute("PRAGMA busy_timeout = 10000")
-            if create:
+            address = f"{self.path.resolve().as_uri()}?mode={mode}"
+            with closing(sqlite3.connect(address, uri=True, timeout=10.0)) as connection:
+                # Texts stay bytes, as a damaged one may not be UTF-8.
+                connection.text_factory = bytes
                 self._prepare(connection)
-            yield connection
-        except sqlite3.Error as error:
+                yield connection
+        except (sqlite3.Error, OSError) as error:
             raise self._unusable(error) from None
-        finally:
-            if connection is not None:
-                connection.close()
 
     def _prepare(self, connection: sqlite3.Connection) -> None:
         written = connection.execute("PRAGMA user_version").fetchone()[0]
-        if written not in (0, _FORMAT):
+        if written == 0:
+            connection.execute("PRAGMA journal_mode = WAL")
+            connection.executescript(_SCHEMA)
+        elif written != _FORMAT:
             raise StoreError(
-                f"the trials store {self.path} has format {written}, and this hident writes "
-                f"{_FORMAT}; move it aside and run again"
+                f"the trials store {self.path} has format {written}, and this hident uses format "
+                f"{_FORMAT}: move it aside, or name another with --store"
             )
-        connection.execute("PRAGMA journal_mode = WAL")
         connection.execute("PRAGMA synchronous = NORMAL")
-        connection.executescript(_SCHEMA)
-        connection.execute(f"PRAGMA user_version = {_FORMAT}")
 
     def _unusable(self, error: Exception) -> StoreError:
-        text = str(error)
-        damaged = isinstance(error, sqlite3.DatabaseError) and (
-            "not a database" in text or "malformed" in text or "corrupt" in text
-        )
-        if damaged:
-            remedy = (
-                f"it is damaged. Nothing was changed. Move it aside (mv {self.path} "
-                f"{self.path}.damaged) and run again; 'sqlite3 {self.path}.damaged .recover' "
-                "may save its trials"
-            )
-        elif "full" in text or "No space" in text or "disk I/O" in text or "too large" in text:
-            remedy = "the disk is full or failing. All finished chunks are kept: free space, run again"
-        elif isinstance(error, sqlite3.OperationalError | OSError):
-            remedy = "its folder must be writable; --store names another"
+        code = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the higher bits are details
+        number = error.errno if isinstance(error, OSError) else None
+        text = (isinstance(error, OSError) and error.strerror) or str(error)
+        if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
+            return self._damaged(text)
+        if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR) or number in _FULL:
+            remedy = "the disk is full or failing. All stored trials are kept: free space, run again"
+        elif code == sqlite3.SQLITE_BUSY:
+            remedy = "another program has it open"
         else:
-            remedy = "run again"
-        return StoreError(f"the trials store {self.path} cannot be used ({text}): {remedy}")
+            remedy = "its folder must be writable; --store names another"
+        return StoreError(f"the trials store {self.path} cannot be used ({text.lower()}): {remedy}")
+
+    def _damaged(self, text: str) -> StoreError:
+        return StoreError(
+            f"the trials store {self.path} is damaged ({text}). Nothing was changed. Move it aside "
+            f"(mv {self.path} {self.path}.damaged) and run again; 'sqlite3 {self.path}.damaged .recover' "
+            "may save its trials"
+        )
 
 
 class Writer:
     """The one writer of a store."""
 
-    def __init__(self, store: Store, connection: sqlite3.Connection) -> None:
-        self._store, self._connection = store, connection
+    def __init__(self, connection: sqlite3.Connection) -> None:
+        self._connection = connection
 
     def read(self, keys: Iterable[str], below: int) -> dict[str, list[Trial]]:
         """As :meth:`Store.read`."""
-        return self._store.read_from(self._connection, keys, below)
+        return _read(self._connection, keys, below)
 
     def add(self, units: Mapping[str, Any], trials: Iterable[tuple[str, Trial]]) -> None:
         """Write a chunk of trials, and what their units are, in one transaction."""
-        rows = [
-            (key, t.trial, t.values.astype("<f8").tobytes(), t.failure, _checksum(key, t))
-            for key, t in trials
-        ]
+        rows = []
+        for key, t in trials:
+            data = t.values.astype("<f8").tobytes()
+            rows.append((key, t.trial, data, t.failure, _checksum(key, t.trial, data, t.failure)))
         with self._connection:
             self._connection.executemany(
                 "INSERT OR IGNORE INTO units VALUES (?, ?)",
                 [(key, json.dumps(described, sort_keys=True)) for key, described in units.items()],
             )
             self._connection.executemany("INSERT OR REPLACE INTO trials VALUES (?, ?, ?, ?, ?)", rows)
+
+
+def _read(connection: sqlite3.Connection, keys: Iterable[str], below: int) -> dict[str, list[Trial]]:
+    query = "SELECT trial, data, failure, checksum FROM trials WHERE key = ? AND trial < ? ORDER BY trial"
+    return {
+        key: [trial for row in connection.execute(query, (key, below)) if (trial := _sound(key, *row))]
+        for key in keys
+    }
+
+
+def _sound(key: str, number: Any, data: Any, failure: Any, checksum: Any) -> Trial | None:
+    """The trial of a row; None if the row is damaged, as a damaged one may hold any type."""
+    if not (isinstance(data, bytes) and isinstance(failure, bytes)):
+        return None
+    text = failure.decode(errors="replace")
+    if _checksum(key, number, data, text) != checksum:
+        return None
+    return Trial(number, np.frombuffer(data, dtype="<f8"), text)

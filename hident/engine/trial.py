@@ -22,6 +22,9 @@ from hident.signals.base import ExcitationSpec, NoiseSpec
 from hident.signals.streams import NumpyStreams, StreamsSpec
 from hident.systems.base import SystemSpec
 
+# A plugin that calls sys.exit() must not end the run.
+_CRASHES = (Exception, SystemExit)
+
 
 def digest(value: Any) -> str:
     """SHA-256 of plain data, 32 hexadecimal digits; keys are sorted, floats kept to the last bit."""
@@ -74,7 +77,8 @@ class Outcome:
     """What one job gave in one trial.
 
     ``values`` holds a number for each label of each metric, nan throughout if the estimate failed; then
-    ``failure`` says why. ``crash`` is the traceback of an error that is not a result.
+    ``failure`` says why. Of an error that is not a result, ``failure`` is the message and ``crash`` the
+    traceback.
     """
 
     job: int
@@ -123,21 +127,31 @@ def run_trials(
 def _run_trial(
     data: Data, jobs: Sequence[Job], indices: Sequence[int], seed: int, trial: int
 ) -> Iterator[Outcome]:
-    nothing = np.empty(0)
     try:
         record = generate(data, seed, trial)
-    except Exception:
-        crash = traceback.format_exc()
-        yield from (Outcome(index, trial, nothing, crash=crash) for index in indices)
+    except _CRASHES as error:
+        yield from (_crashed(index, trial, error) for index in indices)
         return
     for index in indices:
         job = jobs[index]
         try:
             found = estimate(data, job, record, seed, trial)
-            values = [value for metric in job.metrics for value in metric.evaluate(found, record)]
+            values = [value for metric in job.metrics for value in _scored(metric, found, record)]
             yield Outcome(index, trial, np.array(values, dtype=float))
         except (EstimationError, np.linalg.LinAlgError) as error:
             count = sum(len(metric.labels("")) for metric in job.metrics)
             yield Outcome(index, trial, np.full(count, np.nan), failure=str(error) or "singular")
-        except Exception:
-            yield Outcome(index, trial, nothing, crash=traceback.format_exc())
+        except _CRASHES as error:
+            yield _crashed(index, trial, error)
+
+
+def _scored(metric: MetricSpec, found: Estimate, record: Record) -> Sequence[float]:
+    values, labels = metric.evaluate(found, record), metric.labels("")
+    if len(values) != len(labels):
+        raise ValueError(f"the metric '{metric.kind}' gives {len(values)} values for {len(labels)} labels")
+    return values
+
+
+def _crashed(index: int, trial: int, error: BaseException) -> Outcome:
+    said = f"{type(error).__name__}: {error}"
+    return Outcome(index, trial, np.empty(0), said, "".join(traceback.format_exception(error)))

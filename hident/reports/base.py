@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hident.config.spec import Component
@@ -83,10 +82,3 @@ class FigureSpec(Component):
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         """The figure; :mod:`hident.reports.style` sets its look."""
         raise NotImplementedError
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write by a temporary file and a rename, so that a reader never sees half a file."""
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)

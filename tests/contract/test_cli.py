@@ -1,0 +1,390 @@
+"""The command line through a real process: verbs, exit codes, what is printed and what is written."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from hident.cli import Listed, app
+from hident.progress import Lines
+
+if TYPE_CHECKING:
+    from tests.conftest import Lab
+
+_VERBS = ("list", "validate", "run", "status", "compare", "accept", "verify", "schema", "export")
+_PUBLISHED = {
+    "paper_trials": "unknown",
+    "cells": [
+        {"table": "T", "row": "N={samples}", "quantity": "a", "estimator": "iv", "metric": "a a_1"},
+    ],
+}
+
+
+def _ran(lab: Lab) -> Lab:
+    """A run whose paper printed one number that comes out and one that does not."""
+    paper = lab.folder / "experiments/paper"
+    paper.mkdir(parents=True)
+    (paper / "published.csv").write_text("table,row,quantity,printed,note\nT,N=50,a,0.0,\nT,N=80,a,9.9,\n")
+    (paper / "reasons.yaml").write_text('reasons:\n  - {row: N=80, reason: "a slip of the pen"}\n')
+    lab.configure(paper="paper", published=_PUBLISHED)
+    quiet = lab.hident("run", "tiny.yaml", "--jobs", "1", "--quiet")
+    assert (quiet.stdout, quiet.stderr) == ("", "")
+    return lab
+
+
+@pytest.fixture(scope="module")
+def one_run(make_lab: Callable[[Path], Lab], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return _ran(make_lab(tmp_path_factory.mktemp("one"))).folder
+
+
+@pytest.fixture
+def done(lab: Lab, one_run: Path) -> Lab:
+    """A laboratory after a run."""
+    shutil.copytree(one_run, lab.folder, dirs_exist_ok=True)
+    return lab
+
+
+# Listing and validating
+
+
+def test_list_of_everything_has_every_family_and_one_line_for_each_component(lab: Lab) -> None:
+    lines = lab.hident("list").stdout.splitlines()
+    assert [line for line in lines if not line.startswith(" ")] == [f"{listed.value}:" for listed in Listed]
+    assert "  iid " in "\n".join(lines)
+
+
+@pytest.mark.parametrize("family", [listed.value for listed in Listed if listed.value != "configs"])
+def test_list_of_a_family(family: str) -> None:
+    lines = CliRunner().invoke(app, ["list", family]).output.splitlines()
+    assert lines
+    assert all(len(line.split(maxsplit=1)) == 2 and not line.startswith(" ") for line in lines)
+
+
+def test_list_of_configs(lab: Lab) -> None:
+    (lab.folder / "configs").mkdir()
+    (lab.folder / "tiny.yaml").rename(lab.folder / "configs/tiny.yaml")
+    assert lab.hident("list", "configs").stdout.split() == ["tiny", "Tiny"]
+    # Found by its name alone.
+    assert lab.hident("validate", "tiny").stdout.startswith("configs/tiny.yaml: fine: 2 cases, 4 estimates")
+
+
+def test_list_of_a_component_has_its_fields_and_its_source(lab: Lab) -> None:
+    said = lab.hident("list", "estimators", "kernel").stdout
+    assert said.startswith("kernel: ")
+    assert "\nsource: Mzyk 2009" in said
+    assert "\nbandwidth" in said
+    said = lab.hident("list", "estimators", "kernal", code=2).stderr
+    assert said.startswith("error: no estimator is named 'kernal'")
+    assert "kernel" in said
+
+
+def test_validate_several_files_shows_all_errors_of_all(lab: Lab) -> None:
+    fine = lab.hident("validate", "tiny.yaml").stdout
+    assert fine == "tiny.yaml: fine: 2 cases, 4 estimates of 6 trials\n"
+    lab.configure("one", trials=0, seed="x")
+    lab.configure("two", trials=6, seed=1, title=None)
+    said = lab.hident("validate", "tiny.yaml", "one.yaml", "two.yaml", "three.yaml", code=2)
+    assert said.stdout == ""
+    for text in ("one.yaml:", "trials", "seed", "two.yaml:", "title", "three.yaml"):
+        assert text in said.stderr
+
+
+def test_two_files_of_one_name_would_share_a_folder(lab: Lab) -> None:
+    (lab.folder / "sub").mkdir()
+    shutil.copy(lab.folder / "tiny.yaml", lab.folder / "sub")
+    said = lab.hident("validate", "tiny.yaml", "sub/tiny.yaml", code=2).stderr
+    assert "two files are named tiny, and the name is that of the output folder" in said
+
+
+def test_schema_is_json(lab: Lab) -> None:
+    schema = json.loads(lab.hident("schema").stdout)
+    assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
+    assert "trials" in schema["properties"]
+
+
+# Running
+
+
+def test_what_a_run_writes(done: Lab) -> None:
+    folder = done.folder / "out/tiny"
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "run.json", "table.csv", "table.md", "verdicts.csv"
+    ]  # fmt: skip
+    table = pd.read_csv(folder / "table.csv")
+    assert ",".join(table.columns) == (
+        "samples,estimator,metric,trials,failed,mean,std,se,median,q05,q25,q75,q95"
+    )
+    assert table["trials"].tolist() == [6] * 4
+    run = json.loads((folder / "run.json").read_text())
+    experiment, provenance = run["experiment"], run["provenance"]
+    assert (experiment["config"], experiment["seed"], experiment["trials"]) == ("tiny", 7, 6)
+    assert experiment["resolved"]["title"] == "Tiny"
+    assert len(experiment["hash"]) == 32
+    assert run["files"] == ["table.csv", "table.md", "verdicts.csv"]
+    assert provenance["libraries"]["numpy"] == np.__version__
+    assert {"hident", "python", "git_commit", "git_dirty", "cpu", "blas", "platform"} <= provenance.keys()
+    assert provenance["workers"] == 1
+    assert 0 < provenance["wall_seconds"] < 60
+    # Outside of a repository there is no commit to name.
+    assert provenance["git_commit"] is None
+
+
+def test_rerun_does_nothing_and_a_title_rewrites_without_a_trial(done: Lab) -> None:
+    def times() -> dict[Path, int]:
+        files = [path for path in done.folder.rglob("*") if path.is_file()]
+        return {path: path.stat().st_mtime_ns for path in files}
+
+    before, trials = times(), done.trials()
+    rerun = done.hident("run", "tiny.yaml", "--jobs", "1")
+    assert rerun.stderr == "tiny: out/tiny is up to date\n"
+    assert rerun.stdout == (done.folder / "out/tiny/table.md").read_text() + "\n"
+    assert times() == before
+
+    done.configure(title="Another title", tables={})
+    said = done.run()
+    assert said.splitlines() == ["tiny: all 24 trials are stored", "tiny: wrote out/tiny"]
+    assert "# Another title" in (done.folder / "out/tiny/table.md").read_text()
+    assert done.trials() == trials
+
+
+def test_an_altered_or_missing_output_is_written_again(done: Lab) -> None:
+    before = done.table
+    (done.folder / "out/tiny/table.csv").write_bytes(before + b"\n")
+    (done.folder / "out/tiny/table.md").unlink()
+    assert "old or altered" in done.hident("status", "tiny.yaml").stdout
+    assert "all 24 trials are stored" in done.run()
+    assert done.table == before
+
+
+def test_files_of_an_earlier_run_are_removed_and_others_are_not(done: Lab) -> None:
+    folder = done.folder / "out/tiny"
+    (folder / "crashes.txt").touch()
+    (folder / "mine.txt").touch()
+    done.configure(tables={})
+    done.run("-q")
+    assert sorted(path.name for path in folder.iterdir()) == ["mine.txt", "run.json", "table.csv", "table.md"]
+
+
+def test_failed_estimates_are_counted_shown_and_left_out_of_the_mean(lab: Lab) -> None:
+    lab.probe("""
+        value = 2.0
+        if record.u[0] > 3:
+            raise EstimationError("diverged")
+        if record.u[0] > 1:
+            np.linalg.inv(np.zeros((2, 2)))
+        if record.u[0] > 0:
+            value = np.nan
+    """)
+    column = {"estimator": "probe", "metric": "a a_1"}
+    lab.configure(
+        trials=20, tables={"a": {"kind": "grid", "title": "A", "rows": "samples", "columns": [column]}}
+    )
+    lab.run()
+    probe = pd.read_csv(lab.folder / "out/tiny/table.csv").query("estimator == 'probe'")
+    assert probe["failed"].between(4, 16).all()
+    assert (probe["mean"] == 2.0).all()
+    text = (lab.folder / "out/tiny/table.md").read_text()
+    for samples, failed in zip(probe["samples"], probe["failed"], strict=True):
+        assert f"{failed} of 20 trials of estimator 'probe' at samples {samples} failed" in text
+    lab.hident("export", "tiny.yaml", "trials.csv")
+    trials = pd.read_csv(lab.folder / "trials.csv").query("estimator == 'probe'")
+    assert set(trials["failure"].dropna()) == {"diverged", "Singular matrix"}
+    assert trials["value"].isna().sum() == probe["failed"].sum()
+    (lab.folder / "out/tiny/run.json").unlink()
+    assert "all 80 trials are stored" in lab.run()
+
+
+def test_a_changed_estimator_reruns_itself_and_nothing_else(lab: Lab) -> None:
+    system = lab.config["system"]
+    lab.probe("value *= 2  # twice")
+    # Not the plugin's own system, which would change with it.
+    lab.configure(system=system)
+    lab.run("-q")
+    lab.probe("value *= 2  # a comment")
+    lab.configure(system=system)
+    assert "is up to date" in lab.run()
+    lab.probe("value *= 3  # a comment")
+    lab.configure(system=system)
+    assert "24 trials, 12 of them stored" in lab.run()
+
+
+def test_options_override_the_file(lab: Lab) -> None:
+    places = ("--out", "o", "--store", "s")
+    lines = lab.run("--trials", "2", "--seed", "9", "--set", "cases.samples=[60]", *places).splitlines()
+    assert lines[0] == "tiny: 4 trials"
+    assert lines[1].startswith("tiny: 4/4 trials done, ")
+    assert lines[2:] == ["tiny: wrote o/tiny"]
+    run = json.loads((lab.folder / "o/tiny/run.json").read_text())
+    assert (run["experiment"]["seed"], run["experiment"]["trials"]) == (9, 2)
+    assert pd.read_csv(lab.folder / "o/tiny/table.csv")["samples"].tolist() == [60, 60]
+    assert (lab.folder / "s/trials.sqlite").exists()
+
+
+def test_a_terminal_has_a_bar(done: Lab) -> None:
+    done.forget()
+    mine, theirs = pty.openpty()
+    command = [sys.executable, "-m", "hident", "run", "tiny.yaml", "-j1"]
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "100"}
+    process = subprocess.Popen(
+        command, cwd=done.folder, stdout=subprocess.DEVNULL, stderr=theirs, env=environment
+    )
+    os.close(theirs)
+    shown = b""
+    while True:
+        try:
+            shown += os.read(mine, 4096)
+        except OSError:
+            break
+    os.close(mine)
+    assert process.wait(30) == 0
+    for text in (b"tiny: 24 trials", b"24/24", b"trials/s", b"tiny: wrote out/tiny"):
+        assert text in shown
+
+
+def test_lines_in_a_log_have_the_rate_and_the_time_left(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = 0.0
+    monkeypatch.setattr("time.monotonic", lambda: now)
+    lines = Lines("tiny")
+    lines.start(100, 20)
+    now = 11.0
+    lines.advance(0)  # all of a chunk crashed
+    lines.advance(22)
+    now = 12.0
+    lines.advance(8)
+    lines.finish()
+    assert capsys.readouterr().err.splitlines() == [
+        "tiny: 100 trials, 20 of them stored",
+        "tiny: 42/100 trials, 2 a second, 29 s left",
+        "tiny: 50/100 trials done, 12.0 s",
+    ]
+
+
+# What is stored
+
+
+def test_status(done: Lab) -> None:
+    done.configure("other", trials=8)
+    lines = done.hident("status", "tiny.yaml", "other.yaml").stdout.splitlines()
+    assert [line.split(maxsplit=3) for line in lines[1:3]] == [
+        ["tiny", "24", "24", "up to date"],
+        ["other", "24", "32", "none"],
+    ]
+    assert lines[3] == ".hident/trials.sqlite: 24 trials in all"
+    assert "there is no configuration under configs/ here" in done.hident("status", code=2).stderr
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_exported_trials_have_the_means_of_the_table(done: Lab, suffix: str) -> None:
+    said = done.hident("export", "tiny.yaml", f"trials.{suffix}").stdout
+    assert said == f"trials.{suffix}: 24 rows of 24 trials\n"
+    file = done.folder / f"trials.{suffix}"
+    trials = pd.read_csv(file) if suffix == "csv" else pd.read_parquet(file)
+    assert list(trials.columns) == ["samples", "estimator", "trial", "metric", "value", "failure"]
+    means = trials.astype({"samples": int}).groupby(["samples", "estimator"])["value"].mean()
+    table = pd.read_csv(done.folder / "out/tiny/table.csv").set_index(["samples", "estimator"])["mean"]
+    np.testing.assert_allclose(means.loc[table.index], table, rtol=1e-14, atol=1e-16)
+
+
+def test_export_of_an_unknown_kind_and_of_a_part(done: Lab) -> None:
+    said = done.hident("export", "tiny.yaml", "trials.xls", code=2).stderr
+    assert said == "error: trials.xls: the name must end in .csv or .parquet\n"
+    said = done.hident("export", "tiny.yaml", "none/trials.csv", code=2).stderr
+    assert said.startswith("error: none/trials.csv cannot be written: ")
+    said = done.hident("export", "tiny.yaml", "trials.csv", "--trials", "8").stdout
+    assert said == "trials.csv: 24 rows of 24 trials; 8 trials are not computed yet (hident run)\n"
+
+
+# Results and the ledger
+
+
+def test_only_accept_changes_results_and_compare_finds_any_change(done: Lab) -> None:
+    results = done.folder / "results"
+    assert "there is no folder results" in done.hident("compare", code=4).stderr
+    assert done.hident("accept", "tiny").stdout == "tiny: new\n"
+    accepted = {path.name: path.read_bytes() for path in (results / "tiny").iterdir()}
+    out = done.folder / "out/tiny"
+    assert accepted == {path.name: path.read_bytes() for path in out.iterdir()}
+
+    assert done.hident("compare").stdout == "out against results: 1 configuration, no differences\n"
+    table = (out / "table.csv").read_text()
+    *rows, last = table.splitlines(keepends=True)
+    for changed in (table.replace(last, last.replace(",6,0,", ",6,1,")), "".join(rows)):
+        assert changed != table
+        (out / "table.csv").write_text(changed)
+        assert "1 difference\n" in done.hident("compare", code=1).stdout
+    (out / "table.csv").write_text(table)
+    (out / "table.md").rename(out / "extra.md")
+    assert "2 differences\n" in done.hident("compare", code=1).stdout
+
+    done.run("-q", "--trials", "3")
+    assert {path.name: path.read_bytes() for path in (results / "tiny").iterdir()} == accepted
+    assert done.hident("accept", "tiny").stdout.startswith("tiny: changed, ")
+    assert done.hident("accept", "none", code=4).stderr.startswith("error: out/none holds no finished run")
+
+
+def test_verify_wants_a_reason_for_every_difference(done: Lab) -> None:
+    assert "every difference has its reason" in done.hident("verify").stdout
+    (done.folder / "experiments/paper/reasons.yaml").unlink()
+    said = done.hident("verify", code=1).stdout
+    assert "differs without a reason: tiny: T / N=80 / a: printed 9.9, ours " in said
+    shutil.rmtree(done.folder / "out")
+    assert "holds no verdicts.csv" in done.hident("verify", code=4).stderr
+
+
+# The program itself
+
+
+@pytest.mark.parametrize("verb", _VERBS)
+def test_help_of_every_verb(verb: str) -> None:
+    shown = CliRunner().invoke(app, [verb, "--help"])
+    assert shown.exit_code == 0
+    assert shown.output.startswith("Usage: ")
+
+
+def test_help_names_the_verbs_in_full_and_the_exit_codes(lab: Lab) -> None:
+    shown = lab.hident("--help").stdout
+    verbs = shown.split("Commands:\n")[1].split("\n\n")[0].splitlines()
+    assert [line.split()[0] for line in verbs] == list(_VERBS)
+    assert all(line.endswith(".") and not line.endswith("...") for line in verbs)
+    assert "130" in shown
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((), "Usage: "),
+        (("frobnicate",), "No such command 'frobnicate'"),
+        (("list", "unicorns"), "'unicorns' is not one of"),
+        (("run", "tiny.yaml", "--jobs", "0"), "Invalid value for '--jobs'"),
+        (("run",), "Missing argument"),
+        (("run", "tiny.yaml", "--seed", "-1"), "seed"),
+        (("run", "tiny.yaml", "--plugin", "none.py"), "none.py"),
+    ],
+)
+def test_wrong_arguments(lab: Lab, arguments: tuple[str, ...], said: str) -> None:
+    done = lab.hident(*arguments, code=2)
+    assert said in done.stdout + done.stderr
+
+
+def test_a_reader_that_goes_away_is_no_error(lab: Lab) -> None:
+    command = f"set -o pipefail; {sys.executable} -m hident schema | head -n 1"
+    done = subprocess.run(
+        ["bash", "-c", command], cwd=lab.folder, capture_output=True, text=True, check=False
+    )
+    assert (done.stdout, done.stderr) == ("{\n", "")
+    # As of any program whose reader has gone.
+    assert done.returncode == 141

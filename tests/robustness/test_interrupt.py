@@ -1,0 +1,142 @@
+"""Ctrl-C and kills: nothing stored is lost, nothing left running, and the rerun ends as if never stopped."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from tests.conftest import Lab
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="signals and /proc")
+
+# The cases with 80 samples wait for as long as the file `hold` is there.
+_HOLD = """
+if len(record) == 80:
+    Path("reached").touch()
+    while Path("hold").exists():
+        time.sleep(0.005)
+"""
+_RESUMES = "interrupted: all stored trials are kept in .hident; the same command resumes"
+
+
+@pytest.fixture
+def held(lab: Lab) -> Lab:
+    lab.probe(_HOLD)
+    (lab.folder / "hold").touch()
+    return lab
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(make_lab: Callable[[Path], Lab], tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The table of a run that nothing stopped."""
+    lab = make_lab(tmp_path_factory.mktemp("uninterrupted"))
+    lab.probe()
+    lab.run("-q")
+    return lab.table
+
+
+def test_first_interrupt_of_a_pool_keeps_what_is_in_flight(held: Lab, uninterrupted: bytes) -> None:
+    process = held.start("run", "tiny.yaml", "--jobs", "2")
+    held.await_((held.folder / "reached").exists)
+    os.killpg(process.pid, signal.SIGINT)
+    held.await_(lambda: "stopping when the trials in flight are stored" in held.log)
+    assert process.poll() is None
+    (held.folder / "hold").unlink()
+    assert process.wait(30) == 130
+    assert _RESUMES in held.log
+    assert "Traceback" not in held.log
+    held.await_alone()
+    stored = held.trials()
+    assert any("80" in case for _, case, _ in stored)
+    assert len(stored) < 24
+    assert not (held.folder / "out").exists()
+    held.run("-q", "--jobs", "2")
+    assert held.table == uninterrupted
+
+
+def test_second_interrupt_of_a_pool_stops_at_once(held: Lab) -> None:
+    process = held.start("run", "tiny.yaml", "--jobs", "2")
+    held.await_((held.folder / "reached").exists)
+    os.killpg(process.pid, signal.SIGINT)
+    held.await_(lambda: "Ctrl-C again stops at once" in held.log)
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.wait(10) == 130
+    assert _RESUMES in held.log
+    assert "Traceback" not in held.log
+    held.await_alone()
+    assert {case for _, case, _ in held.trials()} == {"{'samples': 50}"}
+
+
+def test_interrupt_while_workers_start(held: Lab) -> None:
+    process = held.start("run", "tiny.yaml", "--jobs", "2")
+    held.await_(lambda: "24 trials" in held.log)
+    os.killpg(process.pid, signal.SIGINT)
+    (held.folder / "hold").unlink()
+    assert process.wait(30) == 130
+    assert _RESUMES in held.log
+    assert "Traceback" not in held.log
+    held.await_alone()
+
+
+def test_interrupt_of_a_serial_run(held: Lab, uninterrupted: bytes) -> None:
+    process = held.start("run", "tiny.yaml", "--jobs", "1")
+    held.await_((held.folder / "reached").exists)
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.wait(10) == 130
+    assert _RESUMES in held.log
+    assert "Traceback" not in held.log
+    assert {case for _, case, _ in held.trials()} == {"{'samples': 50}"}
+    (held.folder / "hold").unlink()
+    held.run("-q")
+    assert held.table == uninterrupted
+
+
+def test_interrupt_while_outputs_are_written_leaves_the_old_ones(lab: Lab) -> None:
+    lab.probe()
+    lab.run("-q")
+    before = {path.name: path.read_bytes() for path in (lab.folder / "out/tiny").iterdir()}
+    # A figure that waits: with it, everything is to be written anew, and the trials are there already.
+    plugin = lab.folder / "probe.py"
+    plugin.write_text(
+        plugin.read_text()
+        + """
+from hident.reports.base import FigureSpec
+
+
+@component("figure", "slow")
+class Slow(FigureSpec):
+    def draw(self, results, verdicts):
+        Path("drawing").touch()
+        time.sleep(60)
+"""
+    )
+    lab.configure(figures={"slow": "slow"}, title="Another")
+    process = lab.start("run", "tiny.yaml", "--jobs", "1")
+    lab.await_((lab.folder / "drawing").exists)
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.wait(10) == 130
+    assert "Traceback" not in lab.log
+    assert {path.name: path.read_bytes() for path in (lab.folder / "out/tiny").iterdir()} == before
+
+
+def test_kills_at_any_moment_lose_nothing(lab: Lab, uninterrupted: bytes) -> None:
+    lab.probe("time.sleep(0.04)")
+    moments = random.Random(5)
+    for jobs in ("2", "1", "2"):
+        process = lab.start("run", "tiny.yaml", "--jobs", jobs)
+        lab.await_(lambda: "24 trials" in lab.log)
+        time.sleep(moments.uniform(0.0, 0.8))
+        process.kill()
+        process.wait()
+        lab.await_alone()
+    lab.run("-q", "--jobs", "2")
+    assert lab.table == uninterrupted

@@ -1,0 +1,132 @@
+"""The fingerprint changes with the code that a trial runs through, and with nothing else."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hident import plugins
+from hident.config.spec import Component, Of
+from hident.engine import fingerprint as module
+from hident.engine.fingerprint import code, fingerprint, libraries
+
+plugins.load()
+
+_KERNEL = {"kind": "kernel", "kernel": "triangular", "bandwidth": {"h0": 1, "alpha": 0.2}}
+_CORE = '''"""Core."""
+
+
+def double(x):
+    """Twice x."""
+    # A comment.
+    return 2 * x
+'''
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A plugin of several modules: ``sample`` imports ``.core`` in three ways, and ``stranger``."""
+    folder = tmp_path / "fp_plugin"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("from fp_plugin.core import double\n")
+    (folder / "sample.py").write_text("from . import core\nimport fp_stranger\n\nVALUE = core.double(2)\n")
+    (folder / "core.py").write_text(_CORE)
+    (folder / "unused.py").write_text("VALUE = 1\n")
+    (tmp_path / "fp_stranger.py").write_text("VALUE = 1\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    importlib.import_module("fp_plugin.sample")
+    importlib.import_module("fp_plugin.unused")
+    yield folder
+    for name in [name for name in sys.modules if name.startswith("fp_")]:
+        del sys.modules[name]
+    _read_again()
+
+
+def _read_again() -> None:
+    module._of_module.cache_clear()
+    module._of_modules.cache_clear()
+
+
+def _changed(file: Path, old: str, new: str) -> bool:
+    before = code(["fp_plugin.sample"])
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new))
+    _read_again()
+    return code(["fp_plugin.sample"]) != before
+
+
+def test_numbers_count_in_every_module_that_is_imported(package: Path) -> None:
+    assert _changed(package / "core.py", "2 * x", "3 * x")
+    assert _changed(package / "sample.py", "double(2)", "double(3)")
+
+
+def test_code_in_the_file_of_a_package_counts(package: Path) -> None:
+    before = code(["fp_plugin"])
+    (package / "__init__.py").write_text("from fp_plugin.core import double\nVALUE = 1\n")
+    _read_again()
+    assert code(["fp_plugin"]) != before
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("# A comment.", "# Another comment."),
+        ('"""Twice x."""', '"""Two times x."""'),
+        ('"""Core."""', ""),
+        ("2 * x", "2*x"),
+        ("\n\n\n", "\n\n"),
+    ],
+)
+def test_comments_docstrings_and_layout_do_not_count(package: Path, old: str, new: str) -> None:
+    assert not _changed(package / "core.py", old, new)
+
+
+def test_modules_that_are_not_imported_and_other_packages_do_not_count(package: Path) -> None:
+    assert not _changed(package / "unused.py", "1", "2")
+    assert not _changed(package.parent / "fp_stranger.py", "1", "2")
+
+
+def test_place_of_a_plugin_does_not_count(tmp_path: Path) -> None:
+    before = set(sys.modules)
+    files = [tmp_path / name / "fp_file.py" for name in ("one", "two", "three")]
+    for file, value in zip(files, (1, 1, 2), strict=True):
+        file.parent.mkdir()
+        file.write_text(f"VALUE = {value}\n")
+    plugins.load(files)
+    names = [name for name in sys.modules if name not in before and "fp_file" in name]
+    one, two, three = (code([name]) for name in names)
+    for name in names:
+        del sys.modules[name]
+    assert one == two != three
+
+
+def _estimator(**fields: Any) -> Component:
+    return Of("estimator").validate(fields)
+
+
+def test_only_what_a_spec_uses_counts() -> None:
+    known, other = (_estimator(kind="known_dynamics", a=[a]) for a in (0.8, 0.5))
+    kernel = _estimator(**_KERNEL)
+    assert fingerprint([known]) == fingerprint([other]) != fingerprint([kernel])
+
+
+def test_specs_inside_specs_count() -> None:
+    filtered = _estimator(**_KERNEL, prefilter={"kind": "known_dynamics", "a": [0.8]})
+    assert fingerprint([filtered]) != fingerprint([_estimator(**_KERNEL)])
+
+
+def test_modules_without_a_source_have_no_code() -> None:
+    assert code(["math"]) == code(["no such module"])
+
+
+def test_libraries_are_those_of_the_arithmetic() -> None:
+    import numpy as np
+
+    assert libraries()["numpy"] == np.__version__
+    assert set(libraries()) == {"numpy", "scipy", "finufft"}

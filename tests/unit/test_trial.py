@@ -1,0 +1,193 @@
+"""The data of a trial depend on the seed, their own part of the case and the trial, and on nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+import pytest
+
+from hident import plugins
+from hident.config.spec import component
+from hident.engine.experiment import load
+from hident.engine.trial import Job, Outcome, digest, generate, run_trials
+from hident.errors import EstimationError
+from hident.estimators.base import EstimatorSpec
+from hident.metrics.base import MetricSpec
+from hident.metrics.values import Value
+from hident.records import Estimate, Record
+from hident.signals.base import NoiseSpec
+from hident.signals.streams import Role
+
+if TYPE_CHECKING:
+    from hident.engine.experiment import Plan
+    from tests.conftest import Lab
+
+plugins.load()
+
+
+@component("estimator", "witness")
+class Witness(EstimatorSpec):
+    """Keeps what it is given."""
+
+    seen: ClassVar[list[tuple[Record, float]]] = []
+    gain: float = 1.0
+    raises: str = ""
+
+    def provides(self) -> frozenset[str]:
+        return frozenset({"value a_1"})
+
+    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        match self.raises:
+            case "estimation":
+                raise EstimationError("diverged")
+            case "singular":
+                np.linalg.inv(np.zeros((2, 2)))
+            case "linalg":
+                raise np.linalg.LinAlgError
+            case "crash":
+                raise ValueError("not a result")
+            case "exit":
+                raise SystemExit(1)
+        self.seen.append((record, rng.random()))
+        return Estimate(values={"a_1": self.gain})
+
+
+@component("metric", "short")
+class Short(MetricSpec):
+    """Gives fewer numbers than it has labels."""
+
+    def labels(self, name: str) -> tuple[str, ...]:
+        return name, f"{name} too"
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        return [1.0]
+
+
+@component("noise", "broken")
+class Broken(NoiseSpec):
+    """Crashes while the data are made."""
+
+    def measure(self, y: Any, rng: np.random.Generator) -> Any:
+        raise RuntimeError("no data")
+
+
+@pytest.fixture(autouse=True)
+def _forgetful() -> None:
+    Witness.seen.clear()
+
+
+def _plan(lab: Lab, **changes: Any) -> Plan:
+    lab.configure(**changes)
+    return load(lab.folder / "tiny.yaml")
+
+
+def _records(plan: Plan, seed: int = 7) -> dict[tuple[int, int], bytes]:
+    return {
+        (unit.data.samples, trial): (record.u.tobytes() + record.y.tobytes())
+        for unit in plan.units
+        for trial in range(3)
+        for record in [generate(unit.data, seed, trial)]
+    }
+
+
+def _outcomes(plan: Plan, *jobs: Job, trials: int = 1) -> list[Outcome]:
+    return run_trials(plan.units[0].data, jobs, {trial: range(len(jobs)) for trial in range(trials)}, seed=7)
+
+
+_A = (Value(of=("a_1",)),)
+
+
+def test_data_depend_on_nothing_but_their_part_of_the_case(lab: Lab) -> None:
+    before = _records(_plan(lab))
+    assert len(set(before.values())) == 6
+    others = {
+        "estimators": {"iv": {"kind": "instrumental_variables", "order": 1, "instrument": "sign"}},
+        "trials": 100,
+        "cases": {"samples": [80, 50]},
+        "title": "Another",
+    }
+    assert _records(_plan(lab, **others, tables={})) == before
+    assert not set(_records(_plan(lab), seed=8).values()) & set(before.values())
+    assert not set(_records(_plan(lab, noise=[])).values()) & set(before.values())
+
+
+def test_case_makes_the_same_data_as_a_file_of_its_own(lab: Lab) -> None:
+    together = _records(_plan(lab))
+    alone = _records(_plan(lab, cases={}, samples=80, tables={}))
+    assert alone == {key: value for key, value in together.items() if key[0] == 80}
+
+
+def test_streams_of_input_noise_and_estimator_are_apart(lab: Lab) -> None:
+    data = _plan(lab).units[0].data
+    roles: tuple[Role, ...] = ("system", "input", "noise", "estimator")
+    draws = {
+        data.streams.generator(role, 7, data.key, trial).random() for role in roles for trial in range(3)
+    }
+    assert len(draws) == 12
+
+
+def test_fixed_input_is_the_same_in_all_trials(lab: Lab) -> None:
+    plan = _plan(lab, streams={"kind": "numpy", "fixed": ["input"]})
+    first, second = (generate(plan.units[0].data, 7, trial) for trial in range(2))
+    np.testing.assert_array_equal(first.u, second.u)
+    assert not np.any(first.y == second.y)
+
+
+def test_all_estimators_of_a_case_see_one_record_and_draw_their_own_numbers(lab: Lab) -> None:
+    jobs = [Job(Witness(gain=gain), _A) for gain in (1.0, 2.0)]
+    outcomes = _outcomes(_plan(lab), *jobs)
+    assert [outcome.values.tolist() for outcome in outcomes] == [[1.0], [2.0]]
+    (first, one), (second, two) = Witness.seen
+    assert first is second
+    assert one != two
+
+
+def test_numbers_that_an_estimator_draws_do_not_depend_on_the_others(lab: Lab) -> None:
+    plan = _plan(lab)
+    job = Job(Witness(gain=2.0), _A)
+    _outcomes(plan, job)
+    _outcomes(plan, Job(Witness(), _A), job)
+    assert Witness.seen[0][1] == Witness.seen[2][1]
+
+
+@pytest.mark.parametrize(
+    ("raises", "why"), [("estimation", "diverged"), ("singular", "Singular matrix"), ("linalg", "singular")]
+)
+def test_a_failed_estimate_is_a_result(lab: Lab, raises: str, why: str) -> None:
+    (outcome,) = _outcomes(_plan(lab), Job(Witness(raises=raises), (*_A, *_A)))
+    assert (outcome.failure, outcome.crash) == (why, "")
+    assert np.isnan(outcome.values).tolist() == [True, True]
+
+
+@pytest.mark.parametrize(
+    ("raises", "why"), [("crash", "ValueError: not a result"), ("exit", "SystemExit: 1")]
+)
+def test_a_crash_is_no_result_and_ends_no_other(lab: Lab, raises: str, why: str) -> None:
+    crashed, fine = _outcomes(_plan(lab), Job(Witness(raises=raises), _A), Job(Witness(), _A))
+    assert crashed.failure == why
+    assert crashed.crash.startswith("Traceback")
+    assert "in fit" in crashed.crash
+    assert fine.values.tolist() == [1.0]
+    assert fine.crash == ""
+
+
+def test_a_crash_while_data_are_made_is_one_of_every_estimator(lab: Lab) -> None:
+    plan = _plan(lab, noise="broken")
+    outcomes = _outcomes(plan, Job(Witness(), _A), Job(Witness(gain=2.0), _A), trials=2)
+    assert [(o.trial, o.job, o.failure) for o in outcomes] == [
+        (trial, job, "RuntimeError: no data") for trial in range(2) for job in range(2)
+    ]
+
+
+def test_a_metric_that_gives_too_few_numbers_crashes(lab: Lab) -> None:
+    (outcome,) = _outcomes(_plan(lab), Job(Witness(), (Short(),)))
+    assert outcome.failure == "ValueError: the metric 'short' gives 1 values for 2 labels"
+
+
+def test_digest_depends_on_values_and_not_on_the_order_of_keys() -> None:
+    assert digest({"a": 0.1, "b": [1]}) == digest({"b": [1], "a": 0.1})
+    different = [{"a": 0.1}, {"a": np.nextafter(0.1, 1.0)}, {"a": 1}, {"a": 1.0}, {"a": "1"}, {"b": 0.1}]
+    assert len({digest(value) for value in different}) == len(different)
+    assert len(digest({})) == 32
