@@ -52,8 +52,8 @@ class Record:
 
     @cached_property
     def order(self) -> NDArray[np.intp]:
-        """The stable order that sorts u, shared by all estimators of this record."""
-        return np.argsort(self.u, kind="stable")
+        """An order that sorts u, shared by all estimators of this record."""
+        return np.argsort(self.u)
 
 
 @dataclass(frozen=True, eq=False)

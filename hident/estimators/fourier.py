@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +12,7 @@ from hident.records import Array
 
 Complex = NDArray[np.complex128]
 _PRECISION = 1e-14
+_BLOCK = 1024
 
 
 def trigonometric_sums(theta: Array, weights: Array, q: int) -> Complex:
@@ -35,19 +39,50 @@ def trigonometric_series(theta: Array, coefficients: Complex) -> Array:
 
 
 def _is_small(theta: Array, q: int) -> bool:
-    # Measured: a harmonic of the direct loop takes 2.6 ns a point; finufft 0.3 ms and 0.1 us a point.
-    return q * len(theta) < 120_000 + 40 * len(theta)
+    # Measured: a harmonic takes 1.2 ns a point directly; finufft 0.3 ms and 0.1 us a point.
+    return q * len(theta) < 240_000 + 80 * len(theta)
+
+
+def _split(count: int) -> tuple[int, int]:
+    """A and B, nearly equal, so that k = a B + b with a < A and b < B counts ``count`` harmonics or more."""
+    inner = math.isqrt(count)
+    return math.ceil(count / inner), inner
+
+
+def _factors(theta: Array, outer: int, inner: int) -> Iterator[tuple[slice, Complex, Complex]]:
+    """For each block of points (M,), exp(i a B theta) for a < A and exp(i b theta) for b < B, a row each.
+
+    Their products are the harmonics exp(i k theta), k = a B + b: only A + B functions are computed
+    at a point, and the sums over b are matrix products.
+    """
+    for first in range(0, len(theta), _BLOCK):
+        block = slice(first, first + _BLOCK)
+        step = np.exp(1j * theta[block])
+        fine = _powers(step, inner)
+        yield block, _powers(fine[-1] * step, outer), fine
+
+
+def _powers(step: Complex, count: int) -> Complex:
+    """The powers 0, 1, ..., count - 1 of ``step`` (M,), a row each."""
+    powers = np.empty((count, len(step)), dtype=complex)
+    powers[0] = 1.0
+    known = 1
+    while known < count:
+        more = min(known, count - known)
+        np.multiply(powers[:more], step, out=powers[known : known + more])
+        step = step * step
+        known += more
+    return powers
 
 
 def _direct_sums(theta: Array, weights: Array, q: int) -> Complex:
-    step = np.exp(1j * theta)
-    power = np.ones_like(step)
-    sums = np.empty((len(weights), q + 1), dtype=complex)
-    for k in range(q + 1):
-        # Real and imaginary parts side by side: one real matrix product instead of a complex one.
-        sums[:, k] = (weights @ power.view(float).reshape(-1, 2)) @ (1.0, 1j)
-        power *= step
-    return sums
+    sets = len(weights)
+    outer, inner = _split(q + 1)
+    sums = np.zeros((sets * outer, inner), dtype=complex)
+    for block, coarse, fine in _factors(theta, outer, inner):
+        weighted = weights[:, None, block] * coarse
+        sums += weighted.reshape(sets * outer, -1) @ fine.T
+    return sums.reshape(sets, -1)[:, : q + 1]
 
 
 def _fast_sums(theta: Array, weights: Array, q: int) -> Complex:
@@ -58,13 +93,16 @@ def _fast_sums(theta: Array, weights: Array, q: int) -> Complex:
 
 
 def _direct_series(theta: Array, coefficients: Complex) -> Array:
-    step = np.exp(1j * theta)
-    power = np.ones_like(step)
-    values = np.zeros((len(coefficients), len(theta)))
-    for c in coefficients.T[:, :, None]:
-        values += c.real * power.real
-        values -= c.imag * power.imag
-        power *= step
+    sets, count = coefficients.shape
+    outer, inner = _split(count)
+    padded = np.zeros((sets, outer * inner), dtype=complex)
+    padded[:, :count] = coefficients
+    rows = padded.reshape(sets * outer, inner)
+    values = np.empty((sets, len(theta)))
+    for block, coarse, fine in _factors(theta, outer, inner):
+        terms = (rows @ fine).reshape(sets, *coarse.shape)
+        terms *= coarse
+        np.sum(terms.real, axis=1, out=values[:, block])
     return values
 
 

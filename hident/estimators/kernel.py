@@ -12,20 +12,27 @@ from pydantic import Field
 from hident.config.spec import Real, Spec, component
 from hident.errors import EstimationError
 from hident.estimators.base import require_finite
-from hident.estimators.kernel_sums import GaussianSums, PiecewiseKernel, PiecewiseSums, PrefixSums
+from hident.estimators.kernel_sums import (
+    GaussianSums,
+    PiecewiseKernel,
+    PiecewiseSums,
+    PrefixSums,
+    Window,
+    WindowSums,
+)
 from hident.estimators.prefilter import NonparametricSpec
 from hident.records import Array, Characteristic, Record
 
 Kernel = Literal["window_half", "window_unit", "triangular", "epanechnikov", "gaussian"]
 Empty = Literal["nearest", "zero", "mean", "fail"]
 
-_PIECEWISE = {
-    "window_half": PiecewiseKernel((-0.5, 0.5), ((1.0,),)),
-    "window_unit": PiecewiseKernel((-1.0, 1.0), ((1.0,),), closed=False),
+_COMPACT: dict[str, Window | PiecewiseKernel] = {
+    "window_half": Window(0.5, closed=True),
+    "window_unit": Window(1.0, closed=False),
     "triangular": PiecewiseKernel((-1.0, 0.0, 1.0), ((1.0, 1.0), (1.0, -1.0))),
     "epanechnikov": PiecewiseKernel((-1.0, 1.0), ((0.75, 0.0, -0.75),)),
 }
-_BLOCK = 2**17
+_BLOCK = 2**15
 
 
 class KernelRegression:
@@ -46,28 +53,37 @@ class KernelRegression:
     ) -> None:
         require_finite(y)
         if order is None:
-            order = np.argsort(u, kind="stable")
+            order = np.argsort(u)
         self._u, y = u[order], y[order]
         self._y_sums = PrefixSums(y)
-        self._mean = float(y.mean())
         self._bandwidth = bandwidth
         self._empty = empty
-        self._sums: GaussianSums | PiecewiseSums = (
-            GaussianSums(self._u, y, bandwidth)
-            if kernel == "gaussian"
-            else PiecewiseSums(self._u, y, self._y_sums, _PIECEWISE[kernel], bandwidth)
-        )
+        self._sums = self._kernel_sums(y, kernel)
+
+    def _kernel_sums(self, y: Array, kernel: Kernel) -> GaussianSums | PiecewiseSums | WindowSums:
+        if kernel == "gaussian":
+            return GaussianSums(self._u, y, self._bandwidth)
+        compact = _COMPACT[kernel]
+        if isinstance(compact, Window):
+            return WindowSums(self._u, self._y_sums, compact, self._bandwidth)
+        return PiecewiseSums(self._u, y, self._y_sums, compact, self._bandwidth)
 
     def __call__(self, points: Array) -> Array:
-        values = np.full(len(points), np.nan)
-        # In blocks, so that temporaries stay small; sorted, since sorted queries are searched much faster.
+        if np.all(points[:-1] <= points[1:]):
+            return self._at_increasing(points)
+        order = np.argsort(points)
+        values = np.empty(len(points))
+        values[order] = self._at_increasing(points[order])
+        return values
+
+    def _at_increasing(self, points: Array) -> Array:
+        values = np.empty(len(points))
+        # In blocks, whose samples stay in the cache.
         for first in range(0, len(points), _BLOCK):
-            block = points[first : first + _BLOCK]
-            order = np.argsort(block)
-            weighted, weight = self._sums(block[order])
-            supported = weight > 0.0
+            block = slice(first, first + _BLOCK)
+            weighted, weight = self._sums(points[block])
             # Eq. (4), (15)
-            values[first + order[supported]] = weighted[supported] / weight[supported]
+            values[block] = weighted / np.where(weight > 0.0, weight, np.nan)
         vacant = np.flatnonzero(np.isnan(values))
         if len(vacant):
             values[vacant] = self._without_samples(points[vacant], len(points))
@@ -80,7 +96,7 @@ class KernelRegression:
             case "zero":
                 return 0.0
             case "mean":
-                return self._mean
+                return float(self._y_sums.between(0, len(self._u))) / len(self._u)
             case "fail":
                 raise EstimationError(
                     f"{len(points)} of {total} points have no sample within the kernel's window "

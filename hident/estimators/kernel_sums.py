@@ -1,10 +1,11 @@
 """Kernel-weighted sums over sorted samples, exact and in O((N + M) log N).
 
-Both classes take samples sorted by u and, at sorted points x, return the sums over k of y_k K((u_k - x)/h)
+All classes take samples sorted by u and, at sorted points x, return the sums over k of y_k K((u_k - x)/h)
 and of K((u_k - x)/h), shape (M,) each; the second is 0 where x has no sample.
 
-Samples are collected in boxes [i w, (i + 1) w) whose width w is a power of two near h. Then a sample's box
-and its place in the box, t = u/w - i - 1/2, come without rounding, however large the range of u is against h.
+For kernels other than windows, samples are collected in boxes [i w, (i + 1) w) whose width w is a power of
+two near h. Then a sample's box and its place in the box, t = u/w - i - 1/2, come without rounding, however
+large the range of u is against h.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from hident.records import Array
 
 Index = NDArray[np.intp]
 
+_BLOCK = 2**15
+
 # The Gaussian's expansions: (X - d)^j and exp(d X) in powers of X, both without the powers of d.
 _TERMS = 30
 _ORDERS = range(_TERMS)
@@ -38,29 +41,52 @@ class PrefixSums:
     """
 
     def __init__(self, x: Array) -> None:
-        bits = 62 - math.frexp(float(np.max(np.abs(x))) * len(x))[1]
+        largest = float(max(x.max(), -x.min()))
+        bits = 62 - math.frexp(largest * len(x))[1]
         self._unit = 2.0 ** -min(bits, 1000)
-        fixed = x / self._unit
-        np.rint(fixed, out=fixed)
         self._sums = np.zeros(len(x) + 1, dtype=np.int64)
-        np.cumsum(fixed, out=self._sums[1:], dtype=np.int64)
+        for first in range(0, len(x), _BLOCK):
+            fixed = np.rint(x[first : first + _BLOCK] / self._unit)
+            sums = self._sums[first + 1 : first + 1 + len(fixed)]
+            np.cumsum(fixed, out=sums, dtype=np.int64)
+            sums += self._sums[first]
 
-    def between(self, start: Index, stop: Index) -> Array:
+    def between(self, start: Index | int, stop: Index | int) -> Array:
         """The sums of x[start:stop] for arrays of indices."""
         return np.asarray((self._sums[stop] - self._sums[start]) * self._unit)
 
 
 @dataclass(frozen=True)
-class PiecewiseKernel:
-    """A kernel that is a polynomial between consecutive edges within [-1, 1] and zero elsewhere.
+class Window:
+    """The kernel that is 1 for abs(x) < reach, and at the ends too if ``closed``, and 0 elsewhere."""
 
-    ``pieces`` holds each polynomial's coefficients, constant first; ``closed`` says whether the outermost
-    edges belong to the window.
+    reach: float
+    closed: bool
+
+
+class WindowSums:
+    """Sums for a window, from prefix sums of y."""
+
+    def __init__(self, u: Array, y_sums: PrefixSums, window: Window, bandwidth: float) -> None:
+        self._u, self._y_sums = u, y_sums
+        self._reach = window.reach * bandwidth
+        self._sides: tuple[Any, Any] = ("left", "right") if window.closed else ("right", "left")
+
+    def __call__(self, points: Array) -> tuple[Array, Array]:
+        start = _search(self._u, points - self._reach, self._sides[0])
+        stop = _search(self._u, points + self._reach, self._sides[1])
+        return self._y_sums.between(start, stop), (stop - start).astype(float)
+
+
+@dataclass(frozen=True)
+class PiecewiseKernel:
+    """A kernel that is a polynomial between consecutive edges, ends included, and zero elsewhere.
+
+    ``pieces`` holds each polynomial's coefficients, constant first. All edges lie within [-1, 1].
     """
 
     edges: tuple[float, ...]
     pieces: tuple[tuple[float, ...], ...]
-    closed: bool = True
 
     @property
     def degree(self) -> int:
@@ -87,56 +113,44 @@ class PiecewiseSums:
         # A window of half-width h touches no more than its own box and two neighbours.
         self._width = 2.0 ** math.ceil(math.log2(bandwidth))
         self._moments: list[tuple[PrefixSums, PrefixSums | None]] = [(y_sums, None)]
-        if kernel.degree:
-            t = _place(u, self._width)
-            power = np.ones_like(t)
-            for _ in range(kernel.degree):
-                power *= t
-                self._moments.append((PrefixSums(power * y), PrefixSums(power)))
+        t = _place(u, self._width)
+        power = np.ones_like(t)
+        for _ in range(kernel.degree):
+            power *= t
+            self._moments.append((PrefixSums(power * y), PrefixSums(power)))
 
     def __call__(self, points: Array) -> tuple[Array, Array]:
         weighted, weight = np.zeros(len(points)), np.zeros(len(points))
-        bounds = self._bounds(points)
+        last = self._kernel.edges[-1]
+        bounds = [
+            _search(self._u, points + edge * self._bandwidth, "right" if edge == last else "left")
+            for edge in self._kernel.edges
+        ]
         for first, after, offset in self._boxes(points):
             for piece, (start, stop) in zip(self._kernel.pieces, pairwise(bounds), strict=True):
                 low, high = np.clip(start, first, after), np.clip(stop, first, after)
                 for (y_sums, sums), factor in zip(self._moments, self._factors(piece, offset), strict=True):
                     weighted += factor * y_sums.between(low, high)
                     weight += factor * ((high - low) if sums is None else sums.between(low, high))
-        if self._kernel.degree:
-            self._sum_directly(points, bounds[0], bounds[-1], weighted, weight)
+        self._sum_directly(points, bounds[0], bounds[-1], weighted, weight)
         return weighted, weight
 
-    def _bounds(self, points: Array) -> list[Index]:
-        """For each edge of the kernel, the index of the first sample beyond it."""
-        inner = len(self._kernel.edges) - 2
-        first, last = ("left", "right") if self._kernel.closed else ("right", "left")
-        sides: list[Any] = [first, *["left"] * inner, last]
-        return [
-            np.searchsorted(self._u, points + edge * self._bandwidth, side)
-            for edge, side in zip(self._kernel.edges, sides, strict=True)
-        ]
-
-    def _boxes(self, points: Array) -> Iterator[tuple[Index | int, Index | int, Array | float]]:
+    def _boxes(self, points: Array) -> Iterator[tuple[Index, Index, Array]]:
         """The boxes about each point: first sample, first sample after, and d in (u - x)/w = t + d."""
-        if not self._kernel.degree:
-            yield 0, len(self._u), 0.0
-            return
         box = np.floor(points / self._width)
         place = _place(points, self._width)
-        first = np.searchsorted(self._u, (box - 1.0) * self._width)
+        first = _search(self._u, (box - 1.0) * self._width)
         for neighbour in (-1.0, 0.0, 1.0):
-            after = np.searchsorted(self._u, (box + neighbour + 1.0) * self._width)
+            after = _search(self._u, (box + neighbour + 1.0) * self._width)
             yield first, after, neighbour - place
             first = after
 
-    def _factors(self, piece: tuple[float, ...], offset: Array | float) -> Iterator[Array | float]:
+    def _factors(self, piece: tuple[float, ...], offset: Array) -> Iterator[Array]:
         """The coefficients of t^0, t^1, ... in the polynomial at (u - x)/h = (t + offset) w/h."""
         scaled = [c * (self._width / self._bandwidth) ** m for m, c in enumerate(piece)]
         for r in range(len(scaled)):
-            yield sum(
-                (scaled[m] * math.comb(m, r) * offset ** (m - r) for m in range(r, len(scaled))), start=0.0
-            )
+            terms = (scaled[m] * math.comb(m, r) * offset ** (m - r) for m in range(r, len(scaled)))
+            yield sum(terms, start=np.zeros_like(offset))
 
     def _sum_directly(self, points: Array, start: Index, stop: Index, weighted: Array, weight: Array) -> None:
         """Replace the sums, in place, where the weights are small."""
@@ -192,7 +206,7 @@ class GaussianSums:
             sums += np.repeat(coefficients, counts, axis=1)
         sums *= np.exp(-0.5 * x**2)
         reach = self.REACH * self._bandwidth
-        alone = np.searchsorted(self._u, points - reach) == np.searchsorted(self._u, points + reach, "right")
+        alone = _search(self._u, points - reach) == _search(self._u, points + reach, "right")
         sums[1, alone] = 0.0
         return sums[0], sums[1]
 
@@ -213,6 +227,12 @@ def _translation(d: float) -> Array:
     """Row j holds the coefficients of X^0, X^1, ... in (X - d)^j exp(d X - d^2/2)."""
     powers = (d ** np.arange(_TERMS))[_LAG]
     return np.asarray(math.exp(-0.5 * d**2) * ((_SHIFT * powers) @ (_EXPONENTIAL * powers)))
+
+
+def _search(u: Array, points: Array, side: Any = "left") -> Index:
+    """``np.searchsorted`` for increasing points: a search between the first and the last of them."""
+    first, last = np.searchsorted(u, points[[0, -1]], side)
+    return np.asarray(first + np.searchsorted(u[first:last], points, side))
 
 
 def _place(u: Array, width: float) -> Array:

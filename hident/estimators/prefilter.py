@@ -49,6 +49,14 @@ def prefilter(y: Array, linear: TransferFunction) -> Array:
     """
     if linear.b[0] == 0.0:
         raise EstimationError("the linear block has b_0 = 0: it delays its input and has no causal inverse")
+    p = len(linear.a)
+    # Eq. (14)
+    filtered = y[p:].copy()
+    for lag, a in enumerate(linear.a, start=1):
+        filtered -= a * y[p - lag : len(y) - lag]
+    if len(linear.b) == 1:
+        filtered /= linear.b[0]
+        return filtered
     # Adding zero turns -0 into 0 for the message.
     zeros = linear.zeros() + 0.0
     if np.any(np.abs(zeros) >= 1.0):
@@ -56,13 +64,6 @@ def prefilter(y: Array, linear: TransferFunction) -> Array:
         raise EstimationError(
             f"the linear block has no stable inverse: its zeros {found} do not all lie inside the unit circle"
         )
-    p = len(linear.a)
-    # Eq. (14)
-    filtered = y[p:].copy()
-    for lag, a in enumerate(linear.a, start=1):
-        filtered -= a * y[p - lag : len(y) - lag]
-    if len(linear.b) == 1:
-        return filtered / linear.b[0]
     inverse = TransferFunction(b=linear.b).inverse()
     steady = filtered.mean() / sum(linear.b)
     return inverse.filter(filtered, np.full(len(inverse.a), steady))
@@ -76,7 +77,7 @@ class FilteredRecord(Record):
 
     @cached_property
     def order(self) -> NDArray[np.intp]:
-        """The stable order that sorts u."""
+        """An order that sorts u."""
         assert self.whole is not None
         dropped = len(self.whole) - len(self)
         order = self.whole.order
@@ -109,7 +110,7 @@ class _OfDynamics(Of):
     def validate(self, value: Any) -> Component:
         spec = super().validate(value)
         assert isinstance(spec, EstimatorSpec)
-        if "linear" not in spec.provides():
+        if not spec.identifies_dynamics:
             allowed = one_of(
                 kind
                 for kind, cls in components(self.family).items()

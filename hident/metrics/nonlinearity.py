@@ -94,8 +94,9 @@ class IntegratedSquaredError(_OnInterval):
         truth, _ = _of(record.truth)
         assert estimate.nonlinearity is not None
         low, high = self.interval
-        inside = (record.u >= low) & (record.u <= high)
-        u = record.u if inside.all() else record.u[inside]
+        # In increasing order, in which an estimate is evaluated with fewer jumps through memory.
+        u = record.u[record.order]
+        u = u[np.searchsorted(u, low) : np.searchsorted(u, high, "right")]
         error = estimate.nonlinearity(u)
         error = error - truth(u)
         return ((high - low) * float(error @ error) / len(u) if len(u) else float("nan"),)

@@ -10,6 +10,7 @@ so the transfer function is B(q)/A(q) with A(q) = 1 - a_1 q^-1 - ... - a_p q^-p.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -185,7 +186,11 @@ class LinearSpec(Component):
 
     def burn_in(self) -> int:
         """Samples before the record after which the start no longer matters; 0 for a given start."""
-        return self.transfer_function().memory() if self.initial == "stationary" else 0
+        return self._memory if self.initial == "stationary" else 0
+
+    @cached_property
+    def _memory(self) -> int:
+        return self.transfer_function().memory()
 
     def simulate(self, w: Array) -> Array:
         """The response v (N,) to ``w`` (N,) from the given start, or from rest before a burn-in."""

@@ -86,6 +86,14 @@ def test_keeps_its_digits_at_many_samples_and_small_bandwidths(kernel, h):
     )
 
 
+@every_kernel
+def test_a_point_among_many_gets_what_it_gets_among_few(kernel):
+    rng = np.random.default_rng(11)
+    u, points = rng.uniform(-6.0, 6.0, 3000), rng.uniform(-7.0, 7.0, 70_000)
+    fitted = KernelRegression(u, rng.normal(size=u.size), kernel=kernel, bandwidth=0.05, empty="nearest")
+    np.testing.assert_allclose(fitted(points)[::700], fitted(points[::700]), rtol=0, atol=1e-12)
+
+
 def test_gaussian_keeps_its_digits_in_the_tails():
     rng = np.random.default_rng(5)
     u, points = rng.uniform(0.0, 1.0, 300), np.linspace(-0.84, 1.84, 500)

@@ -120,11 +120,11 @@ def test_direct_and_fast_trigonometric_sums_agree(n, q):
     np.testing.assert_array_equal(values, fourier._fast_series(theta, coefficients))
 
 
-def test_small_problems_go_to_the_loop_and_large_ones_to_the_transform(monkeypatch):
+def test_small_problems_are_summed_directly_and_large_ones_to_the_transform(monkeypatch):
     taken = []
     for name in ("_direct_sums", "_fast_sums", "_direct_series", "_fast_series"):
         monkeypatch.setattr(fourier, name, lambda *_, name=name: taken.append(name))
-    for n, q in ((100, 50), (100_000, 50)):
+    for n, q in ((100, 150), (100_000, 150)):
         fourier.trigonometric_sums(np.zeros(n), np.zeros((1, n)), q)
         fourier.trigonometric_series(np.zeros(n), np.zeros((1, q + 1), dtype=complex))
     assert taken == ["_direct_sums", "_direct_series", "_fast_sums", "_fast_series"]

@@ -1,0 +1,23 @@
+"""``python -m tests.benchmarks [startup scaling workers trials]``: all four by default."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+
+# Scaling comes early: a child's peak memory begins at what its parent holds when it starts.
+_ALL = ("startup", "scaling", "workers", "trials")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.benchmarks", description="Measure speed and memory."
+    )
+    parser.add_argument("what", nargs="*", choices=(*_ALL, "all"), default="all")
+    what = parser.parse_args().what
+    for name in _ALL if "all" in what else what:
+        importlib.import_module(f"tests.benchmarks.{name}").main()
+
+
+if __name__ == "__main__":
+    main()
