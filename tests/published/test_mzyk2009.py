@@ -19,7 +19,8 @@ def verdicts(name, tmp_path, *, trials, assignments=()):
     plugins.load()
     plan = load(ROOT / "configs" / f"{name}.yaml", assignments)
     seed = plan.experiment.seed
-    return judge(run(plan, Store(tmp_path), SerialExecutor(), 1, trials=trials, seed=seed))
+    with Store(tmp_path).writing() as writer:
+        return judge(run(plan, writer, SerialExecutor(), 1, trials=trials, seed=seed))
 
 
 def test_table_1_comes_out_but_for_its_three_slow_cells(tmp_path):

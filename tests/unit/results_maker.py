@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hident import plugins
 from hident.engine.experiment import load
@@ -43,7 +44,7 @@ published:
 
 def made(
     folder: Path,
-    values: Mapping[tuple[str, str], Sequence[float]],
+    values: Mapping[tuple[str, str], ArrayLike],
     *,
     rest: str = "",
     axes: str = "",
@@ -57,7 +58,7 @@ def made(
     paper.mkdir(parents=True, exist_ok=True)
     (paper / "published.csv").write_text("table,row,quantity,printed,note\n" + printed)
     (paper / "reasons.yaml").write_text(reasons or "reasons: []\n")
-    trials = len(next(iter(values.values()), (1.0, 1.0)))
+    trials = np.size(next(iter(values.values()), [1.0, 1.0]))
     path = folder / "configs" / "some.yaml"
     path.write_text(CONFIG.format(trials=trials, rest=rest, axes=axes))
     plan = load(path)

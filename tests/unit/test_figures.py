@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from results_maker import PUBLISHED, made
 
 from hident.ledger.verdicts import judge
 from hident.reports.style import style
+from tests.unit.results_maker import PUBLISHED, made
 
 CURVE = """
 figures:

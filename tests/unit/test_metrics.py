@@ -65,7 +65,7 @@ def test_sample_points_outside_the_interval_do_not_count():
     score = IntegratedSquaredError(interval=(-1.0, 1.0), at="samples")
     inside = record([0.5], nonlinearity=np.abs)
     more = record([0.5, 7.0, -3.0], nonlinearity=np.abs)
-    assert score.evaluate(ZERO, inside) == score.evaluate(ZERO, more) == (pytest.approx(0.5),)
+    assert score.evaluate(ZERO, inside) == score.evaluate(ZERO, more) == pytest.approx((0.5,))
     assert np.isnan(score.evaluate(ZERO, record([2.0], nonlinearity=np.abs)))
 
 
@@ -83,7 +83,7 @@ def test_named_values():
     both = ("a_1", "a_2")
     assert Value(of=both).evaluate(found, data) == [0.9, -0.4]
     assert Error(of=both).evaluate(found, data) == pytest.approx([0.1, -0.2])
-    assert PercentError(of=both).evaluate(found, data) == (pytest.approx(30.0),)
+    assert PercentError(of=both).evaluate(found, data) == pytest.approx((30.0,))
     assert Error(of=both).labels("error") == ("error a_1", "error a_2")
     assert PercentError(of=both).labels("error") == ("error",)
     assert np.isnan(PercentError(of=("a_1",)).evaluate(found, record([0.0], values={"a_1": 0.0}))[0])
@@ -106,14 +106,14 @@ def test_disturbance_variances_agree_with_their_formulas():
     for filtered, value in ((False, 1 + 100 * 0.64 / 0.36), (True, 1.64)):
         (simulated,) = DisturbanceVariance(filtered=filtered).evaluate(found, data)
         formula = DisturbanceVarianceFormula(noise_variance=1, w_variance=100, filtered=filtered)
-        assert formula.evaluate(found, data) == (pytest.approx(value, rel=1e-12),)
+        assert formula.evaluate(found, data) == pytest.approx((value,), rel=1e-12)
         assert simulated == pytest.approx(value, rel=0.01)
 
 
 def test_leaving_out_the_square_of_eq_20_gives_the_printed_401():
     formula = DisturbanceVarianceFormula(noise_variance=1, w_variance=100, squared=False)
     data = record([0.0], linear=TransferFunction(a=(0.8,)))
-    assert formula.evaluate(Estimate(), data) == (pytest.approx(401.0, rel=1e-12),)
+    assert formula.evaluate(Estimate(), data) == pytest.approx((401.0,), rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from results_maker import PUBLISHED, made
 
 from hident.ledger.verdicts import judge
 from hident.reports.base import Table
 from hident.reports.tables import written
+from tests.unit.results_maker import PUBLISHED, made
 
 GRID = """
 tables:

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from results_maker import PUBLISHED, made
 from scipy.stats import norm
 
 from hident.errors import ConfigError
 from hident.ledger.verdicts import COLUMNS, frame, judge
+from tests.unit.results_maker import PUBLISHED, made
 
 TRIALS = np.random.default_rng(5).normal(10.0, 1.0, 400)
 
