@@ -1,0 +1,347 @@
+"""What every component owes, by its registration alone; an estimator also by one example below."""
+
+import inspect
+import json
+import pickle
+from dataclasses import dataclass, field, replace
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from pydantic_core import PydanticCustomError
+
+from hident import plugins
+from hident.config.describe import fields
+from hident.config.load import problems_of
+from hident.config.meanings import meanings
+from hident.config.spec import PLURALS, Component, Family, Of, Spec, canonical, components
+from hident.engine.trial import Data, Job, estimate, generate
+from hident.errors import EstimationError
+from hident.estimators.base import EstimatorSpec
+from hident.estimators.bases import BasisSpec
+from hident.metrics.base import MetricSpec
+from hident.records import Record
+from hident.reports.base import FigureSpec, TableSpec
+from hident.signals.base import ExcitationSpec, NoiseSpec
+from hident.signals.streams import StreamsSpec
+from hident.systems.base import NonlinearitySpec, SystemSpec
+from hident.systems.linear import LinearSpec
+
+plugins.load()
+
+BASES: dict[str, type[Component]] = {
+    "estimator": EstimatorSpec,
+    "system": SystemSpec,
+    "linear": LinearSpec,
+    "nonlinearity": NonlinearitySpec,
+    "excitation": ExcitationSpec,
+    "noise": NoiseSpec,
+    "streams": StreamsSpec,
+    "metric": MetricSpec,
+    "basis": BasisSpec,
+    "table": TableSpec,
+    "figure": FigureSpec,
+}
+# Without what other tests register.
+COMPONENTS = [
+    (family, kind)
+    for family in PLURALS.values()
+    for kind, cls in components(family).items()
+    if cls.__module__.startswith("hident.")
+]
+AR = {"kind": "ar", "a": [0.5]}
+FIR = {"kind": "fir", "b": [0.0, 0.8, 0.6]}
+CUBIC = {"kind": "polynomial", "coefficients": [0, 1, 0.5, 0.25]}
+
+
+@dataclass(frozen=True)
+class Example:
+    """An estimator's settings, and the system whose data suit it.
+
+    ``invariances`` are those that it has: ``scale`` (of the output: the nonlinearity scales with it, the
+    feedback stays) and ``order`` (of the samples: it does not matter).
+    """
+
+    settings: dict[str, Any]
+    linear: dict[str, Any] = field(default_factory=lambda: AR)
+    invariances: frozenset[str] = frozenset({"scale"})
+
+
+MEMORYLESS = frozenset({"scale", "order"})
+BANDWIDTH = {"h0": 0.5, "alpha": 0.2}
+TRIGONOMETRIC = {"kind": "trigonometric", "interval": [-1, 1]}
+TERMS = {"q0": 1, "alpha": 0.2}
+LEAST_SQUARES = {"kind": "least_squares", "order": 1}
+# A new estimator gets all tests of this file by one line here.
+EXAMPLES = [
+    Example({"kind": "kernel", "kernel": "window_unit", "bandwidth": BANDWIDTH}, invariances=MEMORYLESS),
+    Example({"kind": "kernel", "kernel": "gaussian", "bandwidth": BANDWIDTH}, invariances=MEMORYLESS),
+    Example({"kind": "kernel", "kernel": "epanechnikov", "bandwidth": BANDWIDTH, "prefilter": LEAST_SQUARES}),
+    Example({"kind": "orthogonal", "basis": TRIGONOMETRIC, "terms": TERMS}, invariances=MEMORYLESS),
+    Example(
+        {
+            "kind": "orthogonal",
+            "basis": {"kind": "legendre", "interval": [-1, 1]},
+            "terms": TERMS,
+            "density": {"distribution": "uniform", "low": -1, "high": 1},
+            "known_point": {"u": 0, "value": 0},
+        },
+        invariances=MEMORYLESS,
+    ),
+    Example({"kind": "orthogonal", "basis": TRIGONOMETRIC, "terms": TERMS, "prefilter": LEAST_SQUARES}),
+    Example({"kind": "least_squares", "order": 2}),
+    Example({"kind": "instrumental_variables", "order": 1, "instrument": "identity"}),
+    Example({"kind": "instrumental_variables", "order": 1, "instrument": "identity", "ma_order": 1}),
+    Example({"kind": "known_dynamics", "a": [0.5, -0.1], "b": [1, 0.2]}),
+    Example({"kind": "two_stage", "lags": 3, "degree": 3, "delay": 0}, linear=FIR),
+    Example({"kind": "bilinear_least_squares", "lags": 3, "degree": 3, "delay": 0}, linear=FIR),
+    Example({"kind": "separable_least_squares", "lags": 2, "degree": 3, "delay": 0, "feedback": 1}),
+    Example(
+        {"kind": "known_nonlinearity", "lags": 2, "nonlinearity": CUBIC}, linear=FIR, invariances=frozenset()
+    ),
+    Example(
+        {"kind": "cramer_rao", "lags": 2, "degree": 3, "variance": 0.01}, linear=FIR, invariances=frozenset()
+    ),
+]
+
+
+UNIFORM = {"kind": "iid", "distribution": "uniform", "low": "-2*pi", "high": "2*pi"}
+CELL = {"table": "T", "row": "r", "quantity": "q", "estimator": "k", "metric": "m"}
+SETTINGS: list[tuple[Family, dict[str, Any]]] = [
+    *(("estimator", example.settings) for example in EXAMPLES),
+    ("system", {"kind": "hammerstein", "nonlinearity": "mzyk2009", "linear": AR}),
+    (
+        "system",
+        {"kind": "wiener_hammerstein", "input_linear": FIR, "nonlinearity": CUBIC, "output_linear": AR},
+    ),
+    ("linear", {"kind": "arma", "a": [0.5, "-1/4"], "b": [1, 2], "initial": [1, 2]}),
+    ("nonlinearity", {"kind": "expression", "expression": "0.5*abs(u) + 2*sin(u)", "breaks": [0]}),
+    ("nonlinearity", {"kind": "piecewise_linear", "points": [[0, 1], [1, 3]], "left_slope": 0}),
+    ("excitation", UNIFORM),
+    ("excitation", {"kind": "multistep", "switching_time": 5, "std": 1, "limits": [-2, 2]}),
+    ("noise", {"kind": "ar", "a": [0.5], "nsr": 0.1}),
+    ("noise", {"kind": "white", "distribution": "uniform", "half_width": 0.1}),
+    ("streams", {"kind": "numpy", "fixed": ["input"]}),
+    ("metric", {"kind": "error", "of": ["a_1"], "estimators": ["k"]}),
+    ("metric", {"kind": "mise", "interval": [-1, 1]}),
+    ("basis", TRIGONOMETRIC),
+    ("table", {"kind": "grid", "title": "T", "rows": "n", "columns": [{"estimator": "k", "metric": "m"}]}),
+    ("table", {"kind": "distance", "title": "T", "rows": "n", "cells": [CELL]}),
+    ("figure", {"kind": "realisation", "estimators": ["k"], "interval": [-1, 1], "at": [{"n": 50}]}),
+]
+
+
+def _each_example(invariance=None):
+    chosen = [e for e in EXAMPLES if invariance is None or invariance in e.invariances]
+    names = [f"{example.settings['kind']}-{EXAMPLES.index(example)}" for example in chosen]
+    return pytest.mark.parametrize("example", chosen, ids=names)
+
+
+def _spec(example):
+    spec = Of("estimator").validate(example.settings)
+    assert isinstance(spec, EstimatorSpec)
+    return spec
+
+
+def _data(example, samples):
+    return Data.model_validate(
+        {
+            "samples": samples,
+            "system": {"kind": "hammerstein", "nonlinearity": CUBIC, "linear": example.linear},
+            "excitation": {"kind": "iid", "distribution": "uniform", "low": -1, "high": 1},
+            "noise": {"kind": "white", "std": 0.01},
+        }
+    )
+
+
+def _fit(example, record):
+    with np.errstate(all="ignore"):
+        found = _spec(example).fit(record, np.random.default_rng(5))
+        return found, None if found.nonlinearity is None else found.nonlinearity(np.linspace(-0.9, 0.9, 31))
+
+
+def _same(one, other, tolerance=0.0):
+    """Whether two fits agree: the curves, the linear blocks and the values."""
+    (a, curve_a), (b, curve_b) = one, other
+    np.testing.assert_allclose(
+        np.array([] if curve_a is None else curve_a),
+        np.array([] if curve_b is None else curve_b),
+        rtol=tolerance,
+        atol=tolerance,
+    )
+    np.testing.assert_allclose(
+        list(a.values.values()), list(b.values.values()), rtol=tolerance, atol=tolerance
+    )
+    assert list(a.values) == list(b.values)
+    assert (a.linear is None) == (b.linear is None)
+    if a.linear is not None and b.linear is not None:
+        np.testing.assert_allclose(a.linear.a, b.linear.a, rtol=tolerance, atol=tolerance)
+        np.testing.assert_allclose(a.linear.b, b.linear.b, rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.parametrize(("family", "kind"), COMPONENTS)
+class TestEveryComponent:
+    def test_descends_from_the_base_of_its_family(self, family, kind):
+        assert issubclass(components(family)[kind], BASES[family])
+
+    def test_says_in_one_line_what_it_is(self, family, kind):
+        summary = components(family)[kind].summary()
+        assert summary.endswith(".")
+        assert 10 <= len(summary) <= 100
+        assert "\n" not in summary
+
+    def test_documents_its_fields(self, family, kind):
+        for spec in _with_nested(components(family)[kind]):
+            assert set(meanings(spec)) == set(spec.model_fields), spec
+            assert all(text.endswith((".", ")", "]")) for text in meanings(spec).values()), spec
+
+    def test_can_be_described(self, family, kind):
+        for path, holds, default, meaning in fields(components(family)[kind]):
+            assert path
+            assert meaning
+            assert holds or (not default and ", " in path)
+
+    def test_is_frozen_and_strict(self, family, kind):
+        for spec in _with_nested(components(family)[kind]):
+            assert spec.model_config["frozen"]
+            assert spec.model_config["extra"] == "forbid"
+
+    def test_refuses_an_unknown_key_with_the_nearest_name(self, family, kind):
+        cls = components(family)[kind]
+        name = next(iter(cls.model_fields), None)
+        typo = f"{name}_" if name else "anything"
+        with pytest.raises(ValidationError) as caught:
+            Of(family).validate({"kind": kind, typo: 1})
+        near = f"; did you mean '{name}'?" if name else ""
+        allowed = ", ".join(cls.model_fields) or "none"
+        messages = {problem.location: problem.message for problem in problems_of(caught.value)}
+        assert messages[typo,] == f"unknown key{near} (allowed: {allowed})"
+
+    def test_refuses_what_is_no_mapping(self, family, kind):
+        for wrong in (3, [kind], None, True):
+            with pytest.raises(PydanticCustomError, match="must be a mapping with 'kind:'"):
+                Of(family).validate(wrong)
+
+
+@pytest.mark.parametrize(("family", "plain"), SETTINGS, ids=lambda value: str(value)[:40])
+def test_survives_pickling_and_its_canonical_form(family, plain):
+    spec = Of(family).validate(plain)
+    assert pickle.loads(pickle.dumps(spec)) == spec
+    assert Of(family).validate(canonical(spec)) == spec
+    assert Of(family).validate(json.loads(json.dumps(canonical(spec)))) == spec
+
+
+def _with_nested(spec):
+    """The class and the plain specs that its fields hold, however deep."""
+    yield spec
+    for one in spec.model_fields.values():
+        pending = [one.annotation]
+        while pending:
+            annotation = pending.pop()
+            if inspect.isclass(annotation) and issubclass(annotation, Spec):
+                if not issubclass(annotation, Component):
+                    yield from _with_nested(annotation)
+            else:
+                pending += get_args(annotation)
+
+
+def test_every_family_has_a_base_and_a_plural():
+    assert set(BASES) == set(get_args(Family)) == set(PLURALS.values())
+
+
+def test_every_estimator_has_an_example():
+    estimators = {kind for family, kind in COMPONENTS if family == "estimator"}
+    assert {example.settings["kind"] for example in EXAMPLES} == estimators, "add a line to EXAMPLES"
+
+
+@_each_example()
+class TestEveryEstimator:
+    def test_leaves_the_record_as_it_is(self, example):
+        record = generate(_data(example, 300), 1, 0)
+        u, y = record.u.copy(), record.y.copy()
+        record.u.setflags(write=False)
+        record.y.setflags(write=False)
+        _fit(example, record)
+        assert np.array_equal(record.u, u)
+        assert np.array_equal(record.y, y)
+
+    def test_does_not_modify_the_points_that_it_is_evaluated_at(self, example):
+        found, _ = _fit(example, generate(_data(example, 300), 1, 0))
+        if found.nonlinearity is not None:
+            points = np.linspace(0.9, -0.9, 7)
+            points.setflags(write=False)
+            assert found.nonlinearity(points).shape == points.shape
+
+    def test_gives_the_same_bytes_for_the_same_stream(self, example):
+        data, spec = _data(example, 300), _spec(example)
+        found = []
+        for _ in range(2):
+            result = estimate(data, Job(spec, ()), generate(data, 1, 0), 1, 0)
+            points = np.linspace(-0.9, 0.9, 31)
+            found.append((result, None if result.nonlinearity is None else result.nonlinearity(points)))
+        _same(*found)
+
+    def test_provides_what_it_says(self, example):
+        found, _ = _fit(example, generate(_data(example, 300), 1, 0))
+        parts = {"nonlinearity": found.nonlinearity, "linear": found.linear}
+        given = {name for name, part in parts.items() if part is not None}
+        assert given | {f"value {name}" for name in found.values} == _spec(example).provides()
+        assert all(isinstance(value, float) for value in found.values.values())
+        assert all(isinstance(value, float | int) for value in found.diagnostics.values())
+
+    def test_dynamics_are_promised_by_those_that_always_give_them(self, example):
+        spec = _spec(example)
+        assert not type(spec).identifies_dynamics or "linear" in spec.provides()
+
+    @pytest.mark.parametrize("more", [0, 1, 2, 5])
+    def test_short_records_are_estimated_or_fail_as_a_result(self, example, more):
+        record = generate(_data(example, _spec(example).fewest_samples() + more), 1, 0)
+        try:
+            found, curve = _fit(example, record)
+        except EstimationError as error:
+            assert str(error)
+        else:
+            assert set(found.values) == {
+                part.removeprefix("value ") for part in _spec(example).provides() if part.startswith("value ")
+            }
+            assert (curve is None) == (found.nonlinearity is None)
+
+    @pytest.mark.parametrize("wrong", [np.nan, np.inf])
+    def test_an_output_that_is_not_finite_never_gives_a_curve_of_numbers(self, example, wrong):
+        record = generate(_data(example, 300), 1, 0)
+        record.y[100] = wrong
+        try:
+            found, curve = _fit(example, record)
+        except EstimationError:
+            return
+        # Only what does not look at the output can be estimated from it.
+        assert curve is None
+        assert np.isfinite(list(found.values.values())).all()
+
+    def test_a_constant_record_is_estimated_or_fails_as_a_result(self, example):
+        truth = generate(_data(example, 300), 1, 0).truth
+        for u, y in [(0.5, 0.0), (0.5, 1.0), (0.0, 0.0)]:
+            try:
+                _fit(example, Record(np.full(300, u), np.full(300, y), truth=truth))
+            except EstimationError as error:
+                assert str(error)
+
+
+@_each_example("scale")
+def test_the_scale_of_the_output(example):
+    record = generate(_data(example, 300), 1, 0)
+    found, curve = _fit(example, record)
+    scaled, scaled_curve = _fit(example, replace(record, y=8.0 * record.y))
+    if curve is not None:
+        np.testing.assert_allclose(scaled_curve, 8.0 * curve, rtol=1e-9)
+    if found.linear is not None:
+        np.testing.assert_allclose(scaled.linear.a, found.linear.a, rtol=1e-9, atol=1e-12)
+
+
+@_each_example("order")
+def test_the_order_of_the_samples(example):
+    record = generate(_data(example, 300), 1, 0)
+    shuffled = np.random.default_rng(2).permutation(300)
+    other = Record(record.u[shuffled], record.y[shuffled], truth=record.truth)
+    _same(_fit(example, record), _fit(example, other), 1e-10)
