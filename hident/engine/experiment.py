@@ -240,6 +240,7 @@ def _unknown_names(experiment: Experiment, axes: Sequence[Axis]) -> Iterator[Pro
         "estimator": list(experiment.estimators),
         "metric": labels,
         "axis": [axis.name for axis in axes],
+        "table": list(experiment.tables),
         **{f"label of {axis.name}": list(map(str, axis.labels)) for axis in axes},
     }
     for family in ("tables", "figures"):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from statistics import NormalDist
+from typing import Annotated
 
-from pydantic import field_validator
+from pydantic import Field, field_validator
 
-from hident.config.spec import component
+from hident.config.spec import Real, component
 from hident.metrics.base import MetricSpec
 from hident.records import Estimate, Record
 
@@ -26,6 +28,11 @@ class _OfValues(MetricSpec):
         return frozenset(f"value {name}" for name in self.of)
 
 
+class _EachValue(_OfValues):
+    def labels(self, name: str) -> tuple[str, ...]:
+        return tuple(f"{name} {value}" for value in self.of)
+
+
 class _AgainstTruth(_OfValues):
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset(f"value {name}" for name in self.of)
@@ -36,25 +43,47 @@ class _AgainstTruth(_OfValues):
 
 
 @component("metric", "value")
-class Value(_OfValues):
+class Value(_EachValue):
     """The estimated values themselves."""
-
-    def labels(self, name: str) -> tuple[str, ...]:
-        return tuple(f"{name} {value}" for value in self.of)
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         return [estimate.values[name] for name in self.of]
 
 
 @component("metric", "error")
-class Error(_AgainstTruth):
+class Error(_EachValue, _AgainstTruth):
     """Estimate minus truth: its mean over trials is the bias, its std the standard deviation."""
-
-    def labels(self, name: str) -> tuple[str, ...]:
-        return tuple(f"{name} {value}" for value in self.of)
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         return self.errors(estimate, record)
+
+
+@component("metric", "share")
+class Share(_EachValue):
+    """100 where the values equal a given number, else 0: its mean is the percentage of such trials."""
+
+    equals: Real
+    """The number."""
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        return [100.0 * (estimate.values[name] == self.equals) for name in self.of]
+
+
+@component("metric", "coverage")
+class Coverage(_EachValue, _AgainstTruth):
+    """100 where the interval by the estimate's own standard error holds the truth, else 0."""
+
+    confidence: Annotated[Real, Field(gt=0, lt=1)] = 0.95
+    """Confidence level of the interval, by the normal distribution."""
+
+    def needs_of_estimate(self) -> frozenset[str]:
+        return super().needs_of_estimate() | {f"value se_{name}" for name in self.of}
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        reach = NormalDist().inv_cdf(0.5 + self.confidence / 2.0)
+        errors = self.errors(estimate, record)
+        within = [reach * estimate.values[f"se_{name}"] for name in self.of]
+        return [100.0 * (abs(error) <= limit) for error, limit in zip(errors, within, strict=True)]
 
 
 @component("metric", "percent_error", source="Chen, Hwang, Chang 2009, section 6, example 1")

@@ -16,8 +16,8 @@ from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict
 from hident.reports.base import Reference, Table, TableSpec
 
-_SIGNS = {"exact": "=", "agrees": "~", "differs": "!"}
-_LEGEND = (
+SIGNS = {"exact": "=", "agrees": "~", "differs": "!"}
+LEGEND = (
     "Beside ours, the printed number: `=` ours rounds to it, `~` it lies in the interval that the trials "
     "give, `!` it differs."
 )
@@ -94,9 +94,9 @@ class Grid(TableSpec):
                     row.append("" if found is None else self._cell(found, column.statistic))
                     if printed:
                         verdict = beside.get((id(found), column.statistic))
-                        row.append(f"{verdict.printed.printed} {_SIGNS[verdict.word]}" if verdict else "")
+                        row.append(f"{verdict.printed.printed} {SIGNS[verdict.word]}" if verdict else "")
                 rows.append(tuple(row))
-        notes = [_LEGEND, *_intervals(verdicts)] if any(shown) else []
+        notes = [LEGEND, *intervals(verdicts)] if any(shown) else []
         failed = _failures(results, self.columns)
         return Table(self.title, tuple(header), tuple(rows), (*notes, *failed))
 
@@ -112,7 +112,8 @@ class Grid(TableSpec):
                 return written(s[statistic], self.digits)
 
 
-def _intervals(verdicts: Sequence[Verdict]) -> list[str]:
+def intervals(verdicts: Sequence[Verdict]) -> list[str]:
+    """What the intervals of the verdicts are, for the notes of a table."""
     return [f"Interval: {text}." for text in dict.fromkeys(v.interval for v in verdicts)]
 
 

@@ -27,6 +27,10 @@ class NonlinearitySpec(Component):
         """The characteristic at ``u``, elementwise, float64 of the shape of ``u``."""
         raise NotImplementedError
 
+    def coefficients_by_power(self) -> dict[int, float]:
+        """The coefficients of a polynomial by power; empty for any other characteristic."""
+        return {}
+
     def break_points(self) -> tuple[float, ...]:
         """Where the characteristic or its derivative jumps, in increasing order."""
         return ()

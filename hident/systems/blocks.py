@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Self
 
 from pydantic import model_validator
@@ -38,6 +39,17 @@ class Hammerstein(_OneLinearBlock):
     def simulate(self, u: Array) -> Simulation:
         w = self.nonlinearity(u)
         return Simulation(output=self.linear.simulate(w), internal={"w": w})
+
+    def truth(self) -> Truth:
+        """The parts of the system, the coefficients of a polynomial among the values.
+
+        They are named a_j before a block without feedback, as Wang, Zhang and Ljung write them, and c_j
+        where a_1, ..., a_p are the feedback.
+        """
+        truth = super().truth()
+        letter = "c" if self.linear.transfer_function().a else "a"
+        named = {f"{letter}_{j}": c for j, c in self.nonlinearity.coefficients_by_power().items()}
+        return replace(truth, values={**truth.values, **named})
 
 
 @component("system", "wiener")

@@ -72,6 +72,9 @@ class Polynomial(NonlinearitySpec):
     def __call__(self, u: Array) -> Array:
         return np.asarray(polyval(u, self.coefficients))
 
+    def coefficients_by_power(self) -> dict[int, float]:
+        return dict(enumerate(self.coefficients))
+
 
 @component("nonlinearity", "exponential", source="Brouri, eq. (42b), (43b)")
 class Exponential(NonlinearitySpec):

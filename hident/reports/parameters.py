@@ -1,0 +1,278 @@
+"""Tables and figures of named parameters: estimates beside the truth and the printed numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from pydantic import Field
+
+from hident.config.spec import Count, Flag, component
+from hident.engine.results import Results, Series
+from hident.engine.trial import generate
+from hident.errors import ConfigError
+from hident.ledger.verdicts import Verdict
+from hident.records import Array
+from hident.reports.base import FigureSpec, Reference, Table, TableSpec
+from hident.reports.style import LINES, TRUTH
+from hident.reports.tables import LEGEND, SIGNS, intervals
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def _one(results: Results, estimator: str, metric: str) -> Series:
+    """The one series of an estimator and a metric; the first if axes give several."""
+    return next(results.select(estimator, metric))
+
+
+@component("table", "parameters")
+class Parameters(TableSpec):
+    """One row for each parameter, one column for each estimator: mean ± std, printed numbers beside."""
+
+    metric: str
+    """Name of the metric of kind value."""
+    of: tuple[str, ...]
+    """Names of the values, one row each."""
+    mean_only: tuple[str, ...] = ()
+    """Names of values whose standard deviation the paper does not print, such as a loss."""
+    estimators: tuple[str, ...]
+    """Names of the estimators, one column each."""
+    decimals: Annotated[Count, Field(ge=0, le=15)] = 4
+    """Decimals."""
+
+    def references(self) -> Iterator[Reference]:
+        for estimator in self.estimators:
+            yield "estimators", "estimator", estimator
+        for name in (*self.of, *self.mean_only):
+            yield "of", "metric", f"{self.metric} {name}"
+
+    def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
+        beside: dict[tuple[int, str], Verdict] = {(id(v.series), v.cell.statistic): v for v in verdicts}
+        header, rows = ["parameter"], []
+        for estimator in self.estimators:
+            header += [estimator, "printed"] if self._printed(results, estimator, verdicts) else [estimator]
+        for name in (*self.of, *self.mean_only):
+            row = [name]
+            statistics = ("mean",) if name in self.mean_only else ("mean", "std")
+            for estimator in self.estimators:
+                series = _one(results, estimator, f"{self.metric} {name}")
+                row.append(" ± ".join(f"{series.statistics[s]:.{self.decimals}f}" for s in statistics))
+                if self._printed(results, estimator, verdicts):
+                    found = [beside[id(series), s] for s in statistics if (id(series), s) in beside]
+                    row.append(" ± ".join(f"{v.printed.printed} {SIGNS[v.word]}" for v in found))
+            rows.append(tuple(row))
+        return Table(self.title, tuple(header), tuple(rows), (LEGEND, *intervals(verdicts)) if beside else ())
+
+    def _printed(self, results: Results, estimator: str, verdicts: Sequence[Verdict]) -> bool:
+        return any(verdict.series.unit.name == estimator for verdict in verdicts)
+
+
+@component("table", "efficiency")
+class Efficiency(TableSpec):
+    """Squared Cramer-Rao bound over variance, for each parameter, estimator and case; 1 is efficient."""
+
+    metric: str
+    """Name of the metric of kind error."""
+    of: tuple[str, ...]
+    """Names of the parameters, one column each."""
+    estimators: tuple[str, ...]
+    """Names of the estimators."""
+    bound: str
+    """Name of the estimator of kind cramer_rao."""
+    bound_metric: str
+    """Name of the metric of kind value that holds its se_ values."""
+
+    def references(self) -> Iterator[Reference]:
+        for estimator in (*self.estimators, self.bound):
+            yield "estimators", "estimator", estimator
+        for name in self.of:
+            yield "of", "metric", f"{self.metric} {name}"
+            yield "of", "metric", f"{self.bound_metric} se_{name}"
+
+    def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
+        import pandas as pd
+
+        rows = [
+            {**first.unit.labels, "estimator": estimator, **dict(zip(self.of, values, strict=True))}
+            for estimator in self.estimators
+            for first in results.select(estimator, f"{self.metric} {self.of[0]}")
+            for values in [self.efficiencies(results, estimator, first)]
+        ]
+        data = pd.DataFrame(rows)
+        shown = tuple(
+            tuple(
+                f"{value:.3f}" if isinstance(value, float) and name in self.of else str(value)
+                for name, value in zip(data.columns, row, strict=True)
+            )
+            for row in data.itertuples(index=False)
+        )
+        error = np.sqrt(2.0 / max(results.trials - 1, 1))
+        note = f"Relative standard error of each entry: {error:.3f} ({results.trials} trials)."
+        return Table(self.title, tuple(map(str, data.columns)), shown, (note,), data)
+
+    def efficiencies(self, results: Results, estimator: str, case: Series) -> list[float]:
+        """The efficiency of every parameter in the case of a series."""
+        labels = case.unit.labels
+        found = []
+        for name in self.of:
+            error = next(results.select(estimator, f"{self.metric} {name}", labels))
+            bound = next(results.select(self.bound, f"{self.bound_metric} se_{name}", labels))
+            found.append(float(np.mean(bound.valid**2) / np.var(error.valid, ddof=1)))
+        return found
+
+
+@component("figure", "parameters")
+class ParameterFigure(FigureSpec):
+    """One panel for each parameter: mean and standard deviation of every estimator against the truth."""
+
+    metric: str
+    """Name of the metric of kind value."""
+    of: tuple[str, ...]
+    """Names of the values, one panel each."""
+    estimators: tuple[str, ...]
+    """Names of the estimators."""
+
+    def references(self) -> Iterator[Reference]:
+        for estimator in self.estimators:
+            yield "estimators", "estimator", estimator
+        for name in self.of:
+            yield "of", "metric", f"{self.metric} {name}"
+
+    def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
+        import matplotlib.pyplot as plt
+
+        beside = {(id(v.series), v.cell.statistic): v.printed.value for v in verdicts}
+        columns = min(4, len(self.of))
+        rows = -(-len(self.of) // columns)
+        figure, grid = plt.subplots(rows, columns, squeeze=False, figsize=(2.3 * columns, 2.2 * rows + 0.5))
+        for axes in grid.flat[len(self.of) :]:
+            axes.set_visible(False)
+        for name, axes in zip(self.of, grid.flat, strict=False):
+            for i, estimator in enumerate(self.estimators):
+                series = _one(results, estimator, f"{self.metric} {name}")
+                line = LINES[i % len(LINES)]
+                look = {"color": line["color"], "marker": line["marker"], "capsize": 3, "linestyle": "none"}
+                axes.errorbar(i, series.value("mean"), series.value("std"), label=estimator, **look)
+                if (id(series), "mean") in beside:
+                    printed = (beside[id(series), "mean"], beside.get((id(series), "std"), 0.0))
+                    look |= {"markerfacecolor": "none", "alpha": 0.75}
+                    axes.errorbar(i + 0.3, *printed, label=f"{estimator}, printed", **look)
+            unit = _one(results, self.estimators[0], f"{self.metric} {name}").unit
+            truth = generate(unit.data, results.seed, 0).truth
+            if truth is not None and name in truth.values:
+                axes.axhline(truth.values[name], label="truth", **{**TRUTH, "linewidth": 1.0, "zorder": 0})
+            axes.set_title(f"${name.replace('_', '_{')}}}$" if "_" in name else name)
+            axes.set_xticks([])
+            axes.set_xlim(-0.6, len(self.estimators) - 0.1)
+            axes.ticklabel_format(axis="y", useOffset=False)
+        handles, labels = grid.flat[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=min(4, len(labels)))
+        return figure
+
+
+@component("figure", "gain")
+class Gain(FigureSpec):
+    """Ratio of two estimators' standard deviations for each parameter, and the ratio of the printed ones."""
+
+    metric: str
+    """Name of the metric of kind value."""
+    of: tuple[str, ...]
+    """Names of the values."""
+    reference: str
+    """Name of the estimator in the numerator."""
+    estimator: str
+    """Name of the estimator in the denominator."""
+    y_label: str
+    """Label of the ordinate."""
+
+    def references(self) -> Iterator[Reference]:
+        yield "reference", "estimator", self.reference
+        yield "estimator", "estimator", self.estimator
+        for name in self.of:
+            yield "of", "metric", f"{self.metric} {name}"
+
+    def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
+        import matplotlib.pyplot as plt
+
+        figure, axes = plt.subplots(figsize=(4.6, 3.0))
+        printed = {id(v.series): v.printed.value for v in verdicts if v.cell.statistic == "std"}
+        pairs = [
+            tuple(_one(results, name, f"{self.metric} {value}") for name in (self.reference, self.estimator))
+            for value in self.of
+        ]
+        x = np.arange(len(pairs))
+        ours = np.array([a.value("std") / b.value("std") for a, b in pairs])
+        # Independent or not, the ratio's error is at most that of independent spreads.
+        error = ours / np.sqrt(max(results.trials - 1, 1))
+        axes.errorbar(
+            x,
+            ours,
+            2.0 * error,
+            label="ours, ± 2 standard errors",
+            capsize=3,
+            **LINES[0] | {"linestyle": "none"},
+        )
+        if all(id(series) in printed for pair in pairs for series in pair):
+            theirs = [printed[id(a)] / printed[id(b)] for a, b in pairs]
+            look = {**LINES[1], "linestyle": "none", "markerfacecolor": "none", "markersize": 8}
+            axes.plot(x, theirs, label="printed", **look)
+        axes.axhline(1.0, color="0.4", linewidth=1.0, linestyle=":", label="no gain")
+        axes.set_xticks(x, [f"${value.replace('_', '_{')}}}$" for value in self.of])
+        axes.set_ylabel(self.y_label)
+        axes.set_ylim(bottom=0.0)
+        axes.legend(loc="lower left")
+        return figure
+
+
+@component("figure", "efficiency")
+class EfficiencyFigure(FigureSpec):
+    """Efficiency against a numeric axis: one panel for each parameter, one curve for each estimator."""
+
+    x: str
+    """The axis along the abscissa."""
+    table: str
+    """Name of the table of kind efficiency that it draws."""
+    of: tuple[str, ...]
+    """Names of the parameters, one panel each."""
+    x_label: str
+    """Label of the abscissa, with its unit."""
+    log_y: Flag = True
+    """Logarithmic ordinate."""
+
+    def references(self) -> Iterator[Reference]:
+        yield "x", "axis", self.x
+        yield "table", "table", self.table
+
+    def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
+        import matplotlib.pyplot as plt
+
+        source = results.plan.experiment.tables[self.table]
+        if not isinstance(source, Efficiency):
+            raise ConfigError(f"{results.plan.path}: the table '{self.table}' must be of kind efficiency")
+        columns = min(4, len(self.of))
+        rows = -(-len(self.of) // columns)
+        figure, grid = plt.subplots(
+            rows, columns, squeeze=False, sharex=True, sharey=True, figsize=(2.3 * columns, 2.3 * rows + 0.5)
+        )
+        for axes in grid.flat[len(self.of) :]:
+            axes.set_visible(False)
+        for i, estimator in enumerate(source.estimators):
+            cases = list(results.select(estimator, f"{source.metric} {source.of[0]}"))
+            x: Array = np.array([float(case.unit.labels[self.x]) for case in cases])
+            heights = np.array([source.efficiencies(results, estimator, case) for case in cases])
+            for name, axes in zip(self.of, grid.flat, strict=False):
+                axes.plot(x, heights[:, source.of.index(name)], label=estimator, **LINES[i % len(LINES)])
+        for name, axes in zip(self.of, grid.flat, strict=False):
+            axes.axhline(1.0, color="0.4", linewidth=1.0, linestyle=":", label="Cramér-Rao bound")
+            axes.set_title(f"${name.replace('_', '_{')}}}$")
+            if self.log_y:
+                axes.set_yscale("log")
+        for axes in grid[-1]:
+            axes.set_xlabel(self.x_label)
+        for axes in grid[:, 0]:
+            axes.set_ylabel("bound / variance")
+        handles, labels = grid.flat[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=min(3, len(labels)))
+        return figure
