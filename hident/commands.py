@@ -120,6 +120,7 @@ def run_plans(
 def _run_plan(
     plan: Plan, place: Place, executor: Executor, workers: int, *, keep_going: bool, quiet: bool
 ) -> None:
+    from hident.engine.preflight import check_inputs
     from hident.engine.runner import run
     from hident.progress import chosen
     from hident.reports.output import output_key, up_to_date, write
@@ -132,6 +133,7 @@ def _run_plan(
             # Asked again, as another run may have held the store until now.
             if not up_to_date(folder, key):
                 start = time.perf_counter()
+                check_inputs(plan)
                 results = run(
                     plan,
                     writer,

@@ -168,6 +168,12 @@ def _mismatches(unit: Unit) -> Iterator[Problem]:
     if not unit.metrics:
         yield Problem(("estimators", unit.name), "no metric scores this estimator")
     true, estimated = data.system.provides(), unit.estimator.provides()
+    for missing in sorted(unit.estimator.needs_of_truth() - true):
+        yield Problem(
+            ("estimators", unit.name),
+            f"the estimator '{unit.estimator.kind}' needs the {missing} of the system, which "
+            f"'{data.system.kind}' does not have (it has: {one_of(sorted(true))})",
+        )
     for name, metric in unit.metrics.items():
         for missing in sorted(metric.needs_of_truth() - true):
             yield Problem(

@@ -27,6 +27,8 @@ class Series:
     unit: Unit
     metric: str
     values: Array
+    failure: str = ""
+    """Why the first failed trial failed, if an estimate did."""
 
     @cached_property
     def valid(self) -> Array:

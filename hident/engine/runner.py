@@ -149,7 +149,7 @@ def run(
         progress.finish()
     complete = writer.read(keys, trials)
     series = [
-        Series(unit, label, values)
+        Series(unit, label, values, next((t.failure for t in complete[key] if t.failure), ""))
         for unit, key in zip(plan.units, keys, strict=True)
         for label, values in zip(unit.metric_labels, _columns(complete[key]), strict=True)
     ]

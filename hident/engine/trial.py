@@ -88,17 +88,19 @@ class Outcome:
     crash: str = ""
 
 
+def generate_input(data: Data, seed: int, trial: int, burn_in: int = 0) -> Array:
+    """The input of one trial (burn_in + N,), which begins ``burn_in`` samples before the record."""
+    dt = 1.0 if data.dt is None else data.dt
+    stream = data.streams.generator("input", seed, data.key, trial)
+    return data.excitation.sample(data.samples, dt, stream, burn_in)
+
+
 def generate(data: Data, seed: int, trial: int) -> Record:
     """The record of one trial."""
-
-    def stream(role: Any) -> np.random.Generator:
-        return data.streams.generator(role, seed, data.key, trial)
-
-    dt = 1.0 if data.dt is None else data.dt
     burn_in = data.system.burn_in()
-    u = data.excitation.sample(data.samples, dt, stream("input"), burn_in)
+    u = generate_input(data, seed, trial, burn_in)
     y = data.system.simulate(u).output[burn_in:]
-    noise = stream("noise")
+    noise = data.streams.generator("noise", seed, data.key, trial)
     for spec in data.noise:
         y = spec.measure(y, noise)
     return Record(u[burn_in:], y, data.dt, data.system.truth())

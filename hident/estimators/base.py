@@ -28,6 +28,13 @@ class EstimatorSpec(Component):
         """The shortest record that the method accepts."""
         return 1
 
+    def needs_of_truth(self) -> frozenset[str]:
+        """The parts it needs of the truth, as a bound or a reference does; none by default."""
+        return frozenset()
+
+    def check_input(self, u: Array) -> None:
+        """Raise EstimationError if with an input like ``u`` (N,) no output could tell the parameters apart."""
+
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         """Estimate from a record; ``rng`` is the estimator's own stream."""
         raise NotImplementedError

@@ -143,6 +143,9 @@ class BilinearLeastSquares(WeightedBilinearSpec):
     normalise: Flag = True
     """Keep b at length one; false leaves the common factor of b and 1/a where the iterations drift."""
 
+    def needs_of_truth(self) -> frozenset[str]:
+        return frozenset({"nonlinearity", "linear"} if self.start == "truth" else ())
+
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         phi, y = self.data(record)
         weighted = self.weighted(phi, y)

@@ -38,6 +38,9 @@ class CramerRao(BilinearSpec):
     def provides(self) -> frozenset[str]:
         return frozenset(f"value {name}" for name in self.names("se_"))
 
+    def needs_of_truth(self) -> frozenset[str]:
+        return frozenset({"nonlinearity", "linear"})
+
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         phi, _ = self.data(record)
         root = ArModel(np.array(self.noise.a)).whiten if self.noise else identity

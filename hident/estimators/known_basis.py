@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from hident.config.spec import Count, Of
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, require_finite
-from hident.estimators.bilinear import lengths, normalised, regressors
+from hident.estimators.bilinear import Regression, lengths, normalised, regressors
 from hident.records import Array, Record
 from hident.systems.base import NonlinearitySpec
 from hident.systems.linear import TransferFunction
@@ -81,6 +81,10 @@ class LaggedSpec(EstimatorSpec):
                 f"{len(record)} samples are too few for the lags {self.delay} to {self.first}"
             )
         return regressors(self.basis_values(record.u), self.lags, self.delay), record.y[self.first :]
+
+    def check_input(self, u: Array) -> None:
+        phi = regressors(self.basis_values(u), self.lags, self.delay)
+        Regression.of(phi, self.lags, delay=self.delay)
 
     def b_names(self) -> list[str]:
         """The names of the linear coefficients: b_i multiplies lag i."""

@@ -167,6 +167,8 @@ class ParameterFigure(FigureSpec):
             axes.set_xticks([])
             axes.set_xlim(-0.6, len(self.estimators) - 0.1)
             axes.ticklabel_format(axis="y", useOffset=False)
+        for axes in grid[:, 0]:
+            axes.set_ylabel("mean ± standard deviation")
         handles, labels = grid.flat[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=min(4, len(labels)))
         return figure

@@ -122,8 +122,9 @@ def _failures(results: Results, columns: Sequence[Column]) -> Iterator[str]:
         for series in results.select(column.estimator, column.metric):
             failed, total = series.statistics["failed"], series.statistics["trials"]
             if failed:
+                why = f" (the first: {series.failure})" if series.failure else ""
                 yield (
-                    f"{failed:.0f} of {total:.0f} trials of {series.unit.described()} failed "
+                    f"{failed:.0f} of {total:.0f} trials of {series.unit.described()} failed{why} "
                     "and are left out of the statistics."
                 )
 

@@ -1,12 +1,12 @@
-"""``python -m tests.benchmarks [startup scaling workers trials]``: all four by default."""
+"""``python -m tests.benchmarks [startup scaling two_stage workers trials]``: all five by default."""
 
 from __future__ import annotations
 
 import argparse
 import importlib
 
-# Scaling comes early: a child's peak memory begins at what its parent holds when it starts.
-_ALL = ("startup", "scaling", "workers", "trials")
+# Those with peak memory come early: a child's begins at what its parent holds when it starts.
+_ALL = ("startup", "scaling", "two_stage", "workers", "trials")
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from hident.metrics.disturbance import DisturbanceVariance, DisturbanceVarianceFormula
 from hident.metrics.nonlinearity import IntegratedSquaredError, NonlinearityPercentError, quadrature
-from hident.metrics.values import Error, PercentError, Value
+from hident.metrics.values import Coverage, Error, PercentError, Share, Value
 from hident.records import Estimate, Record, Truth
 from hident.systems.linear import TransferFunction
 from hident.systems.nonlinearity import Mzyk2009
@@ -87,6 +87,18 @@ def test_named_values():
     assert Error(of=both).labels("error") == ("error a_1", "error a_2")
     assert PercentError(of=both).labels("error") == ("error",)
     assert np.isnan(PercentError(of=("a_1",)).evaluate(found, record([0.0], values={"a_1": 0.0}))[0])
+
+
+def test_shares_and_coverage_are_percentages():
+    data = record([0.0], values={"a_1": 0.8, "a_2": -0.2})
+    found = Estimate(values={"a_1": 0.9, "a_2": -0.4, "se_a_1": 0.06, "se_a_2": 0.06, "order": 1.0})
+    assert Share(of=("order",), equals=1).evaluate(found, data) == [100.0]
+    assert Share(of=("order",), equals=2).evaluate(found, data) == [0.0]
+    both = ("a_1", "a_2")
+    assert Coverage(of=both).evaluate(found, data) == [100.0, 0.0]
+    assert Coverage(of=both, confidence=0.5).evaluate(found, data) == [0.0, 0.0]
+    assert Coverage(of=("a_1",)).needs_of_estimate() == {"value a_1", "value se_a_1"}
+    assert Coverage(of=both).labels("c") == ("c a_1", "c a_2")
 
 
 def test_what_metrics_need():

@@ -1,5 +1,7 @@
 """Tables of table.md."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -76,6 +78,16 @@ def test_failed_trials_are_said(tmp_path):
     assert table.rows[0][1] == "1.00"
     assert table.notes == (
         "2 of 3 trials of estimator 'one' at samples 10 failed and are left out of the statistics.",
+    )
+
+
+def test_why_trials_failed_is_said(tmp_path):
+    results = made(tmp_path, {("one", "10"): [1.0, np.nan]}, rest=GRID)
+    first = replace(results.series[0], failure="it is singular")
+    table = built(replace(results, series=(first, *results.series[1:])))
+    assert (
+        "1 of 2 trials of estimator 'one' at samples 10 failed (the first: it is singular) and"
+        in table.notes[0]
     )
 
 

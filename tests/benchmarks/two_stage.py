@@ -1,0 +1,337 @@
+"""The two-stage algorithm on example 1 of Wang, Zhang, Ljung 2009: memory, speed, and other packages."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hident import plugins
+from hident.engine.executors import pin_blas
+from hident.engine.experiment import load
+from hident.engine.trial import Data, generate
+from hident.estimators.bilinear import Regression, regressors
+from hident.estimators.bilinear_least_squares import BilinearLeastSquares
+from hident.estimators.known_basis import BilinearSpec
+from hident.estimators.two_stage import TwoStage, TwoStageAlgorithm, two_stage
+from hident.records import Array, Record
+from tests.benchmarks.timing import interleaved, show
+
+_CONFIG = """
+version: 1
+title: "Wang, Zhang, Ljung 2009, example 1"
+seed: 2009
+trials: 100
+streams: {kind: matlab5, input: {state: 1}, noise: {state: trial}}
+system:
+  kind: hammerstein
+  nonlinearity: {kind: polynomial, coefficients: [0, 1, 2, 5, 7, 1]}
+  linear: {kind: fir, b: [0, 1/sqrt(5), -2/sqrt(5)]}
+excitation:
+  kind: filtered
+  excitation: {kind: iid, distribution: uniform, low: -3, high: 3}
+  linear: {kind: ar, a: [0.5], initial: zero}
+noise: {kind: white, distribution: gaussian, std: 1}
+samples: 100
+estimators:
+  TSA: {kind: two_stage, lags: 2, degree: 5}
+metrics:
+  value: {kind: value, of: [b_1, b_2, a_1, a_2, a_3, a_4, a_5]}
+"""
+_SEED = 2009
+_RUNS = (10**3, 10**4, 10**5)
+_BATCHES = (10**2, 10**3, 10**4)
+_ROUNDS = 15
+_COMPARED = 100
+_TURNS = 3
+
+
+def main() -> None:
+    memory()
+    pin_blas()
+    data, spec = example()
+    speed(data, spec)
+    packages(data, spec)
+
+
+def memory() -> None:
+    """Peak memory of the command line against the number of trials."""
+    found = [run(trials) for trials in _RUNS]
+    fewest, least = _RUNS[0], found[0][1]
+    show(
+        "Memory: hident run, two-stage algorithm, one process, start-up and store included",
+        ("trials", "seconds", "trials/s", "peak MiB", "bytes/trial"),
+        [
+            [
+                f"{trials:.0e}",
+                f"{taken:.1f}",
+                f"{trials / taken:.0f}",
+                f"{peak / 2**20:.0f}",
+                f"{(peak - least) / (trials - fewest):.0f}" if trials > fewest else "",
+            ]
+            for trials, (taken, peak) in zip(_RUNS, found, strict=True)
+        ],
+        (
+            "peak: resident set (ru_maxrss). bytes/trial: what each trial adds to the first row's.",
+            "aim: no more than the results themselves, 7 numbers a trial with their place in the store",
+        ),
+    )
+
+
+def run(trials: int) -> tuple[float, int]:
+    """Seconds and peak bytes of a run with an empty store."""
+    with written() as config:
+        command = [sys.executable, "-m", "hident", "run", str(config), "--quiet", "--jobs", "1"]
+        command += ["--trials", str(trials)]
+        command += ["--out", str(config.parent / "out"), "--store", str(config.parent / "store")]
+        start = time.perf_counter()
+        child = subprocess.Popen(command)
+        _, status, usage = os.wait4(child.pid, 0)
+        taken = time.perf_counter() - start
+    child.returncode = os.waitstatus_to_exitcode(status)
+    if child.returncode:
+        raise subprocess.CalledProcessError(child.returncode, command)
+    return taken, usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def example() -> tuple[Data, TwoStageAlgorithm]:
+    """The data and the estimator of the configuration."""
+    plugins.load()
+    with written() as config:
+        (unit,) = load(config, ()).units
+    assert isinstance(unit.estimator, TwoStageAlgorithm)
+    return unit.data, unit.estimator
+
+
+@contextmanager
+def written() -> Iterator[Path]:
+    """The configuration as a file in a folder of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        config = Path(folder, "example1.yaml")
+        config.write_text(_CONFIG)
+        yield config
+
+
+def speed(data: Data, spec: TwoStageAlgorithm) -> None:
+    """Trials per second against a loop, and against the one matrix product."""
+    exact = noise_free(data)
+    noise = np.random.default_rng(_SEED).standard_normal((data.samples, max(_BATCHES)))
+    y = (exact.y[:, None] + noise)[spec.first :]
+    show(
+        "Trials per second of the two-stage algorithm, outputs given (hident and plain agree to 1e-9)",
+        ("trials", "hident", "floor", "plain", "hident/floor time", "plain/hident time"),
+        [row(spec, spec.basis_values(exact.u), y[:, :trials].copy()) for trials in _BATCHES],
+        (
+            "hident: b and a of all trials from the basis functions, the regressors factored once.",
+            "floor: the product of their pseudoinverse, already known, with the outputs.",
+            "plain: numpy's lstsq and svd for each trial.",
+            "aim, with 1e4 trials: at most 3 floors; the plain loop takes at least 20 times as long",
+        ),
+    )
+
+
+def noise_free(data: Data) -> Record:
+    """The record without noise; its input is that of every trial."""
+    return generate(data.model_copy(update={"noise": ()}), _SEED, 0)
+
+
+def row(spec: TwoStageAlgorithm, basis: Array, y: Array) -> list[str]:
+    """The line of the outputs ``y`` (rows, T)."""
+    phi, each = regressors(basis, spec.lags, spec.delay), y.T.copy()
+    inverse = np.linalg.pinv(phi)
+    found = batch(spec, basis, y)
+    np.testing.assert_allclose(np.hstack([found.b, found.a]), plain(phi, spec.lags, each), rtol=1e-9)
+    taken = interleaved(
+        {
+            "hident": lambda: batch(spec, basis, y),
+            "floor": lambda: inverse @ y,
+            "plain": lambda: plain(phi, spec.lags, each),
+        },
+        _ROUNDS,
+    )
+    ours, least, loop = taken["hident"], taken["floor"], taken["plain"]
+    return [
+        f"{len(each):.0e}",
+        *(f"{len(each) / time:.2e}" for time in taken.values()),
+        f"{ours / least:.2f}",
+        f"{loop / ours:.0f}",
+    ]
+
+
+def batch(spec: TwoStageAlgorithm, basis: Array, y: Array) -> TwoStage:
+    """The estimates of all trials, ``y`` (rows, T), from the basis functions (m, N)."""
+    return two_stage(Regression.of(regressors(basis, spec.lags, spec.delay), spec.lags), y)
+
+
+def plain(phi: Array, n: int, outputs: Array) -> Array:
+    """b and a, a row for each row of ``outputs`` (T, rows), one after the other."""
+    found = []
+    for y in outputs:
+        theta = np.linalg.lstsq(phi, y, rcond=None)[0].reshape(-1, n).T
+        left, singular_values, right = np.linalg.svd(theta, full_matrices=False)
+        sign = np.sign(left[0, 0])
+        found.append(np.concatenate([sign * left[:, 0], sign * singular_values[0] * right[0]]))
+    return np.array(found)
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What one trial gives: the output without noise (rows,), Theta (n, m), and b and a, if estimated."""
+
+    output: Array
+    theta: Array
+    parameters: tuple[Array, Array] | None = None
+
+
+@dataclass(frozen=True)
+class Contender:
+    """``fit`` takes the input (N,) and the outputs (T, N) of all trials, ``read`` one of the fits."""
+
+    fit: Callable[[Array, Array], Sequence[Any]]
+    read: Callable[[Any], Found]
+
+
+def packages(data: Data, spec: TwoStageAlgorithm) -> None:
+    """Errors and times of hident and of packages that can fit the same data."""
+    exact = noise_free(data)
+    outputs = np.array([generate(data, _SEED, trial).y for trial in range(_COMPARED)])
+    contenders, missing = hidents(spec, exact), []
+    for package, of_package in {"pysid": pysids, "sysidentpy": frols}.items():
+        try:
+            contenders |= of_package(spec, exact)
+        except ImportError as reason:
+            missing.append(f"{package} skipped ({reason}): pip install 'hident[bench]'")
+    taken = interleaved(
+        {name: partial(each.fit, exact.u, outputs) for name, each in contenders.items()}, _TURNS
+    )
+    b, a = spec.true_parameters(exact)
+    rows = []
+    for name, each in contenders.items():
+        found = [each.read(fit) for fit in each.fit(exact.u, outputs)]
+        values = [f.parameters for f in found if f.parameters]
+        rows.append(
+            [
+                name,
+                error([f.output for f in found], exact.y[spec.first :], np.sqrt(data.samples - spec.first)),
+                error([f.theta for f in found], np.outer(b, a)),
+                error([b for b, _ in values], b) if values else "-",
+                error([a for _, a in values], a) if values else "-",
+                f"{1e3 * taken[name] / _COMPARED:.3g}",
+            ]
+        )
+    show(
+        f"Error and time of packages on the paper's data, {_COMPARED} trials of {data.samples} samples",
+        ("method", "output", "Theta", "b", "a", "ms/trial"),
+        rows,
+        (
+            "output: rms error of the predicted noise-free output (standard deviation of the noise: 1).",
+            "Theta = b a', b, a: rms over trials of the length of the error over that of the truth;",
+            "-: the package stops at Theta. phi: x, x^2, ..., x^5 are given as five inputs.",
+            *missing,
+        ),
+    )
+
+
+def error(found: Iterable[Array], truth: Array, size: float | None = None) -> str:
+    """Root mean square over trials of the distance to the truth, in units of ``size`` or of its length."""
+    squares = [np.sum((each - truth) ** 2) for each in found]
+    return f"{np.sqrt(np.mean(squares)) / (np.linalg.norm(truth) if size is None else size):.3g}"
+
+
+def hidents(spec: TwoStageAlgorithm, exact: Record) -> dict[str, Contender]:
+    """The two-stage algorithm on all trials at once and as a run calls it, and least squares started from it."""
+    phi, n = spec.data(exact)[0], spec.lags
+
+    def together(x: Array, outputs: Array) -> list[Array]:
+        found = batch(spec, spec.basis_values(x), outputs.T[spec.first :])
+        return list(np.hstack([found.b, found.a]))
+
+    def read(values: Array) -> Found:
+        theta = np.outer(values[:n], values[n:])
+        return Found(phi @ theta.T.ravel(), theta, (values[:n], values[n:]))
+
+    def contender(estimator: BilinearSpec) -> Contender:
+        def fit(x: Array, outputs: Array) -> list[Array]:
+            rng = np.random.default_rng(_SEED)
+            fits = (estimator.fit(Record(x, y), rng).values for y in outputs)
+            return [np.array([values[name] for name in spec.names()]) for values in fits]
+
+        return Contender(fit, read)
+
+    least_squares = BilinearLeastSquares.model_validate({"lags": n, "degree": spec.degree})
+    return {
+        "hident two_stage, all trials in one call": Contender(together, read),
+        "hident two_stage": contender(spec),
+        "hident bilinear_least_squares": contender(least_squares),
+    }
+
+
+def pysids(spec: TwoStageAlgorithm, exact: Record) -> dict[str, Contender]:
+    """pysid's least squares with the basis functions as inputs, without and with one pole."""
+    pysid = importlib.import_module("pysid")
+    lfilter = importlib.import_module("scipy.signal").lfilter
+    basis = spec.basis_values(exact.u)
+    orders, delays = [[spec.lags - 1] * len(basis)], [[spec.delay] * len(basis)]
+
+    def read(model: Any) -> Found:
+        poles = [1.0] if model.A is None else model.A[0, 0]
+        numerators = model.B[0]
+        output = sum(lfilter(b, poles, phi) for b, phi in zip(numerators, basis, strict=True))
+        return Found(output[spec.first :], np.array([b[spec.delay :] for b in numerators]).T)
+
+    def contender(method: Callable[..., Any], *structure: Any) -> Contender:
+        def fit(x: Array, outputs: Array) -> list[Any]:
+            inputs = spec.basis_values(x).T
+            return [method(*structure, inputs, y[:, None]) for y in outputs]
+
+        return Contender(fit, read)
+
+    return {
+        "pysid fir, inputs phi": contender(pysid.fir, orders, delays),
+        "pysid arx, inputs phi": contender(pysid.arx, [[1]], orders, delays),
+    }
+
+
+def frols(spec: TwoStageAlgorithm, exact: Record) -> dict[str, Contender]:
+    """SysIdentPy's forward regression on all monomials of the lagged inputs, their number by BIC."""
+    selection = importlib.import_module("sysidentpy.model_structure_selection")
+    polynomial = importlib.import_module("sysidentpy.basis_function").Polynomial
+    least_squares = importlib.import_module("sysidentpy.parameter_estimation").LeastSquares
+    shape = spec.lags, len(spec.functions())
+
+    def fit(x: Array, outputs: Array) -> list[Any]:
+        return [
+            selection.FROLS(
+                xlag=shape[0],
+                ylag=1,
+                model_type="NFIR",
+                basis_function=polynomial(degree=shape[1]),
+                estimator=least_squares(),
+                info_criteria="bic",
+                n_info_values=21,
+            ).fit(X=x[:, None], y=y[:, None])
+            for y in outputs
+        ]
+
+    def read(model: Any) -> Found:
+        theta = np.zeros(shape)
+        # 2001 stands for x(t-1), 2002 for x(t-2); a monomial is written as its factors, then zeros.
+        for factors, value in zip(np.asarray(model.final_model, dtype=int), model.theta[:, 0], strict=True):
+            lags = factors[factors > 0] - 2001
+            if len(set(lags)) == 1:
+                theta[lags[0], len(lags) - 1] = value
+        output = model.predict(X=exact.u[:, None], y=exact.y[:, None])[:, 0]
+        return Found(output[spec.first :], theta)
+
+    return {"SysIdentPy FROLS, NFIR, BIC": Contender(fit, read)}

@@ -1,0 +1,50 @@
+"""The printed numbers of Wang, Zhang and Ljung 2009, judged from trials computed here."""
+
+import pytest
+
+from tests.published.test_mzyk2009 import verdicts
+
+
+@pytest.fixture(scope="module")
+def table1(tmp_path_factory):
+    return verdicts("wang_table1", tmp_path_factory.mktemp("table1"), trials=100)
+
+
+@pytest.fixture(scope="module")
+def table2(tmp_path_factory):
+    return verdicts("wang_table2", tmp_path_factory.mktemp("table2"), trials=100)
+
+
+def of(found, row):
+    return {v.printed.quantity: v for v in found if v.printed.row == row}
+
+
+@pytest.mark.parametrize("row", ["W=I, TSA", "W=W_check (17), TSA"])
+def test_the_two_stage_columns_of_table_1_come_out_to_every_digit(table1, row):
+    found = of(table1, row)
+    assert len(found) == 15
+    assert {v.word for v in found.values()} == {"exact"}
+
+
+def test_the_solver_of_table_1_reaches_the_same_loss_elsewhere_in_the_valley(table1):
+    found = of(table1, "W=W_check (17), lsqnonlin")
+    assert found["mean loss L(b,a,W)"].word == "exact"
+    # With b at length one the second spread would be half of the first.
+    assert found["std b2"].ours > found["std b1"].ours
+    assert [q for q, v in found.items() if v.word == "differs"] == ["std a4"]
+    assert found["std a4"].reason
+
+
+@pytest.mark.parametrize("row", ["W=I", "W=R^-1 estimated"])
+def test_the_estimates_of_table_2_come_out_to_every_digit(table2, row):
+    found = {q: v for q, v in of(table2, row).items() if "order" not in q}
+    assert len(found) == 14
+    assert {v.word for v in found.values()} == {"exact"}
+
+
+def test_the_orders_of_table_2_are_one_run_apart(table2):
+    found = of(table2, "W=R^-1 estimated")
+    first = found["runs of 100 with AR order 1 selected"]
+    second = found["runs of 100 with AR order 2 selected"]
+    assert (first.ours, second.ours) == (93.0, 7.0)
+    assert first.word == second.word == "agrees"

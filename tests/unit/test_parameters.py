@@ -1,0 +1,124 @@
+"""Tables and figures of named parameters."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hident import plugins
+from hident.engine.experiment import load
+from hident.engine.results import Results, Series
+from hident.errors import ConfigError
+from hident.ledger.verdicts import judge
+from hident.reports.style import style
+
+CONFIG = """\
+version: 1
+title: t
+paper: p
+trials: 3
+samples: 50
+system: {kind: hammerstein, nonlinearity: {kind: polynomial, coefficients: [0, 2]}, linear: {kind: fir, b: [0, 1]}}
+excitation: {kind: iid, distribution: gaussian, std: 1}
+noise: {kind: ar, a: [0.5], std: 1}
+cases: {noise.a: [[0.5]]}
+estimators:
+  one: {kind: two_stage, lags: 1, degree: 1}
+  two: {kind: two_stage, lags: 1, degree: 1, weight: {kind: ar, a: [0.5]}}
+  bound: {kind: cramer_rao, lags: 1, degree: 1, variance: 1}
+metrics:
+  theta: {kind: value, of: [a_1, loss], estimators: [one, two]}
+  error: {kind: error, of: [a_1], estimators: [one, two]}
+  least: {kind: value, of: [se_a_1], estimators: [bound]}
+published:
+  paper_trials: 1
+  cells:
+    - {table: T, row: r, quantity: mean, estimator: one, metric: theta a_1}
+    - {table: T, row: r, quantity: std, estimator: one, metric: theta a_1, statistic: std}
+    - {table: T, row: s, quantity: std, estimator: two, metric: theta a_1, statistic: std}
+tables:
+  t: {kind: parameters, title: P, metric: theta, of: [a_1], mean_only: [loss], estimators: [one, two], decimals: 2}
+  e: {kind: efficiency, title: E, metric: error, of: [a_1], estimators: [one], bound: bound, bound_metric: least}
+figures:
+  p: {kind: parameters, metric: theta, of: [a_1], estimators: [one, two]}
+  g: {kind: gain, metric: theta, of: [a_1], reference: one, estimator: two, y_label: ratio}
+  e: {kind: efficiency, x: noise.a, table: TABLE, of: [a_1], x_label: pole}
+"""
+VALUES = {
+    ("one", "theta a_1"): [1.0, 2.0, 3.0],
+    ("two", "theta a_1"): [1.5, 2.0, 2.5],
+    ("one", "error a_1"): [-1.0, 0.0, 1.0],
+    ("bound", "least se_a_1"): [0.5, 0.5, 0.5],
+}
+
+
+@pytest.fixture
+def make(tmp_path: Path):
+    plugins.load()
+    paper = tmp_path / "experiments" / "p"
+    paper.mkdir(parents=True)
+    rows = "T,r,mean,2.0,\nT,r,std,1.5,\nT,s,std,0.5,\n"
+    (paper / "published.csv").write_text("table,row,quantity,printed,note\n" + rows)
+
+    def results(table: str = "e") -> Results:
+        path = tmp_path / "c.yaml"
+        path.write_text(CONFIG.replace("TABLE", table))
+        plan = load(path)
+        series = tuple(
+            Series(unit, label, np.array(VALUES.get((unit.name, label), [7.0, 7.0, 7.0])))
+            for unit in plan.units
+            for label in unit.metric_labels
+        )
+        return Results(plan, 1, 3, series)
+
+    return results
+
+
+@pytest.fixture
+def draw():
+    import matplotlib.pyplot as plt
+
+    with style():
+        yield lambda results, name: results.plan.experiment.figures[name].draw(results, judge(results))
+        plt.close("all")
+
+
+def test_parameters_stand_beside_the_printed_ones(make):
+    results = make()
+    table = results.plan.experiment.tables["t"].build(results, judge(results))
+    assert table.header == ("parameter", "one", "printed", "two", "printed")
+    assert table.rows == (
+        ("a_1", "2.00 ± 1.00", "2.0 = ± 1.5 ~", "2.00 ± 0.50", "0.5 ="),
+        ("loss", "7.00", "", "7.00", ""),
+    )
+
+
+def test_efficiency_is_squared_bound_over_variance(make):
+    results = make()
+    table = results.plan.experiment.tables["e"].build(results, ())
+    assert table.data["a_1"].to_list() == pytest.approx([0.25])
+    assert table.notes == ("Relative standard error of each entry: 1.000 (3 trials).",)
+
+
+def test_the_parameter_figure_shows_estimates_printed_numbers_and_truth(make, draw):
+    axes = draw(make(), "p").axes[0]
+    labels = axes.get_legend_handles_labels()[1]
+    assert labels == ["truth", "one", "one, printed", "two"]
+    assert axes.get_title() == "$a_{1}$"
+    truth = next(line for line in axes.lines if line.get_label() == "truth")
+    assert truth.get_ydata()[0] == 2.0
+
+
+def test_the_gain_figure_shows_both_ratios(make, draw):
+    axes = draw(make(), "g").axes[0]
+    points = {line.get_label(): line.get_ydata() for line in axes.lines}
+    assert points["printed"] == pytest.approx([3.0])
+    assert axes.containers[0].lines[0].get_ydata() == pytest.approx([2.0])
+    assert axes.get_ylabel() == "ratio"
+
+
+def test_an_efficiency_figure_needs_its_table(make, draw):
+    with pytest.raises(ConfigError, match="the table 't' must be of kind efficiency"):
+        draw(make("t"), "e")
+    with pytest.raises(ConfigError, match=r"figures.e.table: there is no table 'nothing'"):
+        make("nothing")
