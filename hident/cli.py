@@ -11,6 +11,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+import hident
+from hident.config.suggest import did_you_mean, one_of
 from hident.errors import HidentError
 
 _PIPE_CLOSED = 141
@@ -33,7 +35,7 @@ app = typer.Typer(
     cls=_Verbs,
     no_args_is_help=True,
     add_completion=False,
-    context_settings={"max_content_width": 110},
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     help="Monte Carlo experiments on identifying Hammerstein, Wiener and Wiener-Hammerstein systems.",
@@ -87,10 +89,36 @@ def _options(trials: int | None, seed: int | None) -> dict[str, int | None]:
     return {"trials": trials, "seed": seed}
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"hident {hident.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _program(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None: ...
+
+
+def _listed(what: str) -> Listed:
+    try:
+        return Listed(what)
+    except ValueError:
+        near = did_you_mean(what, Listed)
+        raise typer.BadParameter(f"'{what}' cannot be listed{near} (there are: {one_of(Listed)})") from None
+
+
 @app.command("list")
 def list_(
-    what: Annotated[Listed | None, typer.Argument(help="What to list; everything by default.")] = None,
-    kind: Annotated[str | None, typer.Argument(help="One component, to see its fields.")] = None,
+    what: Annotated[
+        Listed | None, typer.Argument(parser=_listed, help="What to list; everything by default.")
+    ] = None,
+    kind: Annotated[
+        str | None, typer.Argument(help="One component, to see its fields, or one configuration.")
+    ] = None,
     plugin: Plugins = None,
 ) -> None:
     """List the components that a configuration can use."""
@@ -99,6 +127,8 @@ def list_(
     families = [what.value] if what else [listed.value for listed in Listed]
     if kind is None:
         commands.print_listing(families, plugin or ())
+    elif what is Listed.configs:
+        commands.print_config(Path(kind), plugin or ())
     else:
         commands.print_component(families[0], kind, plugin or ())
 

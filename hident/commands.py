@@ -42,11 +42,14 @@ def all_configs() -> list[Path]:
 
 def load_plans(
     configs: Iterable[Path],
-    assignments: Iterable[str] | None,
+    assignments: Sequence[str] | None,
     options: Mapping[str, int | None],
     plugin_files: Iterable[Path],
 ) -> list[Plan]:
     """All plans, or one error that holds what is wrong with all files."""
+    from hident.ledger.published import check_published
+    from hident.reports.output import check
+
     plugins.load(plugin_files)
     plans: list[Plan] = []
     errors: list[str] = []
@@ -54,7 +57,10 @@ def load_plans(
         named = Path("configs") / f"{config}.yaml"
         bare = not config.suffix and not config.exists() and named.exists()
         try:
-            plans.append(load(named if bare else config, assignments or (), options))
+            plan = load(named if bare else config, assignments or (), options)
+            check_published(plan)
+            check(plan)
+            plans.append(plan)
         except ConfigError as error:
             errors.append(str(error))
     if errors:
@@ -123,15 +129,15 @@ def _run_plan(
     from hident.engine.preflight import check_inputs
     from hident.engine.runner import run
     from hident.progress import chosen
-    from hident.reports.output import output_key, up_to_date, write
+    from hident.reports.output import output_key, state, write
 
     trials, seed, folder = plan.experiment.trials, plan.experiment.seed, place.out / plan.name
     key = output_key(plan, seed, trials)
     note = f"{plan.name}: {folder} is up to date"
-    if not up_to_date(folder, key):
+    if state(folder, key) != "up to date":
         with Store(place.store).writing(place.wait) as writer:
             # Asked again, as another run may have held the store until now.
-            if not up_to_date(folder, key):
+            if state(folder, key) != "up to date":
                 start = time.perf_counter()
                 check_inputs(plan)
                 results = run(
@@ -183,8 +189,6 @@ def print_component(family: str, kind: str, plugin_files: Iterable[Path]) -> Non
     from hident.config.describe import fields
 
     plugins.load(plugin_files)
-    if family == "configs":
-        raise ConfigError("a configuration has no fields to list; see hident validate")
     known = components(PLURALS[family])
     if kind not in known:
         near = did_you_mean(kind, known)
@@ -193,10 +197,22 @@ def print_component(family: str, kind: str, plugin_files: Iterable[Path]) -> Non
     print(f"{kind}: {cls.summary()}")
     if cls.source:
         print(f"source: {cls.source}")
-    rows = list(fields(cls))
-    if rows:
+    if rows := list(fields(cls)):
         print()
         _print_columns([("key", "holds", "default", "meaning"), *rows])
+
+
+def print_config(config: Path, plugin_files: Iterable[Path]) -> None:
+    """A configuration's title, path, cases and estimators."""
+    [plan] = load_plans([config], (), {}, plugin_files)
+    print(f"{plan.name}: {plan.experiment.title}")
+    print(described(plan))
+    cases = [(axis.name, one_of(map(str, axis.labels))) for axis in plan.axes]
+    estimators = [(name, spec.summary()) for name, spec in plan.experiment.estimators.items()]
+    for header, rows in ((("case", "labels"), cases), (("estimator", "what it is"), estimators)):
+        if rows:
+            print()
+            _print_columns([header, *rows])
 
 
 def _print_columns(rows: Sequence[tuple[str, ...]]) -> None:
@@ -214,16 +230,15 @@ def _print_columns(rows: Sequence[tuple[str, ...]]) -> None:
 
 def print_status(plans: Sequence[Plan], place: Place) -> None:
     """For each plan: how many of its trials are stored, and the state of its outputs."""
-    from hident.reports.output import output_key, up_to_date
+    from hident.reports.output import output_key, state
 
     store = Store(place.store)
     rows = [("configuration", "trials stored", "of", "outputs")]
     for plan in plans:
         trials, seed, folder = plan.experiment.trials, plan.experiment.seed, place.out / plan.name
         done = sum(stored(plan, store, trials, seed))
-        fresh = up_to_date(folder, output_key(plan, seed, trials))
-        state = "up to date" if fresh else "old or altered" if folder.is_dir() else "none"
-        rows.append((plan.name, str(done), str(trials * len(plan.units)), state))
+        outputs = state(folder, output_key(plan, seed, trials))
+        rows.append((plan.name, str(done), str(trials * len(plan.units)), outputs))
     _print_columns(rows)
     print(f"{store.path}: {store.count()} trials in all")
 

@@ -53,7 +53,9 @@ class Record:
     @cached_property
     def order(self) -> NDArray[np.intp]:
         """An order that sorts u, shared by all estimators of this record."""
-        return np.argsort(self.u)
+        order = np.argsort(self.u)
+        order.flags.writeable = False
+        return order
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,7 +57,7 @@ from hident.config.spec import component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec
 from hident.records import Estimate, Truth
-from hident.systems.base import Simulation, SystemSpec
+from hident.systems.base import SystemSpec
 
 
 @component("system", "square")
@@ -65,7 +65,7 @@ class Square(SystemSpec):
     """A system that needs no library that is slow to import."""
 
     def simulate(self, u):
-        return Simulation(u**2, {})
+        return u**2
 
     def truth(self):
         return Truth()

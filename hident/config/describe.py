@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import types
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -11,7 +10,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from pydantic.fields import FieldInfo
 
 from hident.config.meanings import meanings
-from hident.config.spec import Component, Of, Spec
+from hident.config.spec import Component, Of, Spec, own_docstring
 
 _BOUNDS: dict[type, tuple[str, str]] = {
     Gt: (">", "gt"),
@@ -25,7 +24,8 @@ _SCALARS = {float: "number", int: "whole number", bool: "true or false", str: "t
 def fields(spec: type[Spec], prefix: str = "") -> Iterator[tuple[str, str, str, str]]:
     """Key path, what it holds, default and meaning of every field, nested specs included.
 
-    Where a field holds one of several specs, a line of its own stands above the fields of each.
+    A nested spec's docstring follows the meaning of its field; where a field holds one of several specs, it
+    stands in a line of its own above the fields of each.
     """
     for name, field in spec.model_fields.items():
         path = f"{prefix}{name}"
@@ -35,11 +35,14 @@ def fields(spec: type[Spec], prefix: str = "") -> Iterator[tuple[str, str, str, 
         default = (
             "required" if field.is_required() else _default(field.get_default(call_default_factory=True))
         )
-        yield path, _holds(annotation), default, meanings(spec).get(name, "")
         alternatives = list(_specs_within(annotation))
+        texts = [meanings(spec).get(name, "")]
+        if len(alternatives) == 1:
+            texts.append(own_docstring(alternatives[0][0]))
+        yield path, _holds(annotation), default, " ".join(filter(None, texts))
         for i, (inner, marks) in enumerate(alternatives):
             if len(alternatives) > 1:
-                yield f"{path}, {'or' if i else 'either'}", "", "", inspect.getdoc(inner) or ""
+                yield f"{path}, {'or' if i else 'either'}", "", "", own_docstring(inner)
             yield from fields(inner, f"{path}{marks}.")
 
 

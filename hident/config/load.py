@@ -176,6 +176,8 @@ def _put(data: dict[str, Any], path: str, value: Any, place: str) -> Location:
     at: Any = data
     location: Location = ()
     rest = path.split(".")
+    if rest[0] == "cases" and rest[1:]:
+        data.setdefault("cases", {})
     while True:
         where = spelled(location) or "the file"
         key: str | int
@@ -191,6 +193,9 @@ def _put(data: dict[str, Any], path: str, value: Any, place: str) -> Location:
             # A key may hold dots itself, such as an axis: the longest that fits is meant.
             length = next((n for n in range(len(rest), 1, -1) if ".".join(rest[:n]) in at), 1)
             key, rest = ".".join(rest[:length]), rest[length:]
+            if location == ("cases",) and key not in at:
+                # The name of a new axis, dots included.
+                key, rest = ".".join((key, *rest)), []
             if rest and key not in at:
                 raise ConfigError(
                     f"{place}: {path}: {where} has no key '{key}'{did_you_mean(key, at)} "

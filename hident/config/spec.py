@@ -159,6 +159,11 @@ def _as_written(loc: tuple[str | int, ...], data: Any, message: str) -> tuple[st
     return tuple(kept)
 
 
+def own_docstring(cls: type) -> str:
+    """The docstring of the class itself: that of a base may not be true of it."""
+    return inspect.cleandoc(cls.__doc__ or "")
+
+
 class Component(Spec):
     """A spec with a family and a kind, chosen in YAML by its ``kind:``."""
 
@@ -169,7 +174,7 @@ class Component(Spec):
     @classmethod
     def summary(cls) -> str:
         """The first line of the docstring."""
-        return (inspect.getdoc(cls) or "").partition("\n")[0]
+        return own_docstring(cls).partition("\n")[0]
 
 
 _REGISTER: dict[str, dict[str, type[Component]]] = {}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any
@@ -28,8 +28,10 @@ _EXPORTED = ("trial", "value", "failure")
 
 
 def _as_axis(written: Any) -> Any:
-    if not isinstance(written, list | Mapping) or not written:
+    if not isinstance(written, list | Mapping):
         raise ValueError("must be a list of values, or labels with the values that each sets")
+    if not written:
+        raise ValueError("must hold at least one value")
     if isinstance(written, list):
         if any(isinstance(value, Mapping) for value in written):
             raise ValueError("a list cannot hold mappings: give each a label, as 'label: {key.path: value}'")
@@ -135,6 +137,16 @@ def sound_axes(document: Document, complaints: list[Complaint]) -> tuple[Axis, .
             sound.append(axis)
             document = axis.apply(document, 0)
     return tuple(sound)
+
+
+def idle_assignments(axes: Iterable[Axis], assignments: Iterable[str]) -> Iterator[Complaint]:
+    """The ``--set`` assignments without effect, as every label of an axis sets their key."""
+    for assignment in assignments:
+        path, _, value = (part.strip() for part in assignment.partition("="))
+        for axis in axes:
+            if all(any(f"{path}.".startswith(f"{key}.") for key in patch) for patch in axis.patches):
+                remedy = f"; use --set cases.{path}=[{value}]" if axis.name == path else " under every label"
+                yield Complaint(0, f"--set {assignment}: cases.{axis.name} sets this key{remedy}")
 
 
 def _unsound(axis: Axis, data: Mapping[str, Any]) -> Iterator[str]:

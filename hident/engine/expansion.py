@@ -37,6 +37,10 @@ class Unit:
     def metric_labels(self) -> tuple[str, ...]:
         return tuple(label for name, metric in self.metrics.items() for label in metric.labels(name))
 
+    def is_at(self, labels: Mapping[str, Any]) -> bool:
+        """Whether it stands at these labels; an axis that does not touch it does not count."""
+        return all(str(self.labels.get(axis, label)) == str(label) for axis, label in labels.items())
+
     def described(self) -> str:
         """The unit in words, for messages."""
         case = ", ".join(f"{axis} {label}" for axis, label in self.labels.items())
@@ -76,12 +80,18 @@ class Expansion:
     ) -> list[Unit]:
         """All units, those of one case together; what is wrong with any goes to the complaints."""
         found: list[tuple[tuple[tuple[int, int], ...], Unit]] = []
+        estimators = list(estimators)
+        # A metric that is for an unknown name may be meant for any of them; that has its own message.
+        misnamed = any(set(spec.estimators or ()) - set(estimators) for spec in metrics.values())
         for name in estimators:
             scored = [
                 metric
                 for metric, spec in metrics.items()
                 if spec.estimators is None or name in spec.estimators
             ]
+            if not scored and not misnamed:
+                problem = Problem(("estimators", name), "no metric scores this estimator")
+                self._complaints += self._document.complaints_of([problem])
             roots = {("data",), ("estimators", name), *(("metrics", metric) for metric in scored)}
             choices = self._choices(roots)
             if len(found) + choices.count > _MOST_UNITS:
@@ -165,8 +175,6 @@ def _mismatches(unit: Unit) -> Iterator[Problem]:
             ("estimators", unit.name), f"needs at least {fewest} samples, but samples is {data.samples}"
         )
         return
-    if not unit.metrics:
-        yield Problem(("estimators", unit.name), "no metric scores this estimator")
     true, estimated = data.system.provides(), unit.estimator.provides()
     for missing in sorted(unit.estimator.needs_of_truth() - true):
         yield Problem(
@@ -175,13 +183,14 @@ def _mismatches(unit: Unit) -> Iterator[Problem]:
             f"'{data.system.kind}' does not have (it has: {one_of(sorted(true))})",
         )
     for name, metric in unit.metrics.items():
-        for missing in sorted(metric.needs_of_truth() - true):
+        unknown = metric.needs_of_truth() - true
+        for missing in sorted(unknown):
             yield Problem(
                 ("metrics", name),
                 f"the metric '{metric.kind}' needs the {missing} of the system, which "
                 f"'{data.system.kind}' does not have (it has: {one_of(sorted(true))})",
             )
-        for missing in sorted(metric.needs_of_estimate() - estimated):
+        for missing in sorted(metric.needs_of_estimate() - estimated - unknown):
             yield Problem(
                 ("metrics", name),
                 f"the metric '{metric.kind}' needs the {missing} of the estimate, which estimator "

@@ -21,7 +21,7 @@ from hident.config.load import Document, Problem, override, problems_of, read_le
 from hident.config.spec import Component, Count, Of, Spec
 from hident.config.suggest import did_you_mean, one_of
 from hident.config.yaml12 import Complaint, Location, Place, error_of
-from hident.engine.cases import CHANGEABLE, DATA, Axis, Cases, Label, sound_axes
+from hident.engine.cases import CHANGEABLE, DATA, Axis, Cases, Label, idle_assignments, sound_axes
 from hident.engine.expansion import Expansion, Unit
 from hident.engine.trial import Data
 from hident.estimators.base import EstimatorSpec
@@ -161,7 +161,7 @@ class Plan:
 
 
 def load(
-    path: Path, assignments: Iterable[str] = (), options: Mapping[str, int | None] = MappingProxyType({})
+    path: Path, assignments: Sequence[str] = (), options: Mapping[str, int | None] = MappingProxyType({})
 ) -> Plan:
     """Read a configuration, apply ``--set`` assignments and options such as trials, expand its cases.
 
@@ -182,7 +182,7 @@ def load(
     complaints: list[Complaint] = []
     axes = sound_axes(document, complaints)
     all_axes_sound = not complaints
-    complaints += document.complaints
+    complaints += [*document.complaints, *idle_assignments(axes, assignments)]
     expansion = Expansion(document, axes)
     # The first label of every axis completes the file: what a case sets need not stand twice.
     first = expansion.document(dict.fromkeys(range(len(axes)), 0))
@@ -246,14 +246,18 @@ def _unknown_names(experiment: Experiment, axes: Sequence[Axis]) -> Iterator[Pro
     for family in ("tables", "figures"):
         for name, spec in getattr(experiment, family).items():
             for field, what, referred in spec.references():
-                yield from unknown((family, name, field), what, referred, known.get(what, [referred]))
+                # A field is named, or is the path of a key inside it, such as ("columns", 0, "estimator").
+                at = field if isinstance(field, tuple) else (field,)
+                yield from unknown((family, name, *at), what, referred, known.get(what, [referred]))
     for i, cell in enumerate(experiment.published.cells if experiment.published else ()):
         at = ("published", "cells", i)
         yield from unknown((*at, "estimator"), "estimator", cell.estimator, known["estimator"])
         yield from unknown((*at, "metric"), "metric", cell.metric, known["metric"])
         for axis, label in cell.at.items():
             yield from unknown((*at, "at"), "axis", axis, known["axis"])
-            yield from unknown((*at, "at", axis), "label", str(label), known.get(f"label of {axis}", ()))
+            yield from unknown(
+                (*at, "at", axis), "label", str(label), known.get(f"label of {axis}", [str(label)])
+            )
         for field in ("row", "quantity"):
-            for axis in re.findall(r"{([^}]*)}", getattr(cell, field)):
+            for axis in re.findall(r"{([^{}]*)}", getattr(cell, field)):
                 yield from unknown((*at, field), "axis", axis, known["axis"])

@@ -36,6 +36,7 @@ class Series:
         return self.values[np.isfinite(self.values)]
 
     @cached_property
+    @np.errstate(all="ignore")
     def statistics(self) -> dict[str, float]:
         """The statistics of table.csv; std is the sample one, se that of the mean."""
         valid = self.valid
@@ -56,6 +57,7 @@ class Series:
         """The statistic over the trials that did not fail; nan if there are too few."""
         return self.statistics[statistic]
 
+    @np.errstate(all="ignore")
     def standard_error(self, statistic: Statistic) -> float:
         """Standard error of the statistic, by its large-sample formula."""
         valid, n = self.valid, len(self.valid)
@@ -90,12 +92,10 @@ class Results:
         labels: Mapping[str, Label] = MappingProxyType({}),
     ) -> Iterator[Series]:
         """The series of an estimator and a metric at the given labels of axes."""
-        wanted = {axis: str(label) for axis, label in labels.items()}
         for series in self.series:
-            if estimator in (None, series.unit.name) and metric in (None, series.metric):
-                have = series.unit.labels
-                if all(str(have.get(axis, label)) == label for axis, label in wanted.items()):
-                    yield series
+            named = estimator in (None, series.unit.name) and metric in (None, series.metric)
+            if named and series.unit.is_at(labels):
+                yield series
 
     def labels(self, axis: str) -> tuple[Label, ...]:
         """The labels of an axis in their written order."""

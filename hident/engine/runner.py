@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 import threading
 import time
@@ -147,17 +148,16 @@ def run(
         ) from None
     finally:
         progress.finish()
-    complete = writer.read(keys, trials)
-    series = [
-        Series(unit, label, values, next((t.failure for t in complete[key] if t.failure), ""))
-        for unit, key in zip(plan.units, keys, strict=True)
-        for label, values in zip(unit.metric_labels, _columns(complete[key]), strict=True)
-    ]
+    series: list[Series] = []
+    for unit, key in zip(plan.units, keys, strict=True):
+        done_trials = writer.read([key], trials)[key]
+        failure = next((trial.failure for trial in done_trials if trial.failure), "")
+        columns = np.stack([trial.values for trial in done_trials], axis=1)
+        series += [
+            Series(unit, label, values, failure)
+            for label, values in zip(unit.metric_labels, columns, strict=True)
+        ]
     return Results(plan, seed, trials, tuple(series))
-
-
-def _columns(trials: Sequence[Trial]) -> Any:
-    return np.stack([trial.values for trial in trials], axis=1)
 
 
 def _cases(units: Sequence[Unit], found: Sequence[set[int]], trials: int) -> list[_Case]:
@@ -275,12 +275,13 @@ def _chunks(
     """Chunks of about a quarter of a second, judged by the trials of the case that are finished."""
     for case in cases:
         jobs = [Job(units[i].estimator, tuple(units[i].metrics.values())) for i in case.units]
-        waiting = list(case.wanted.items())
-        while waiting:
+        waiting = iter(case.wanted.items())
+        while True:
             size = int(_CHUNK_SECONDS / case.seconds) if case.seconds else 1
-            size = max(1, min(size, _LARGEST_CHUNK))
-            yield case, jobs, dict(waiting[:size])
-            del waiting[:size]
+            chunk = dict(itertools.islice(waiting, max(1, min(size, _LARGEST_CHUNK))))
+            if not chunk:
+                break
+            yield case, jobs, chunk
 
 
 def _timed(

@@ -60,6 +60,8 @@ class Store:
     """
 
     def __init__(self, folder: Path) -> None:
+        if folder.exists() and not folder.is_dir():
+            raise StoreError(f"{folder} is not a folder, as the trials store needs: --store names one")
         self.folder = folder
         self.path = folder / "trials.sqlite"
 

@@ -99,11 +99,14 @@ def generate(data: Data, seed: int, trial: int) -> Record:
     """The record of one trial."""
     burn_in = data.system.burn_in()
     u = generate_input(data, seed, trial, burn_in)
-    y = data.system.simulate(u).output[burn_in:]
+    y = data.system.simulate(u)[burn_in:]
     noise = data.streams.generator("noise", seed, data.key, trial)
     for spec in data.noise:
         y = spec.measure(y, noise)
-    return Record(u[burn_in:], y, data.dt, data.system.truth())
+    u = u[burn_in:]
+    # All estimators of a trial share them: one that writes crashes instead of changing the others' data.
+    u.flags.writeable = y.flags.writeable = False
+    return Record(u, y, data.dt, data.system.truth())
 
 
 def estimate(data: Data, job: Job, record: Record, seed: int, trial: int) -> Estimate:

@@ -33,7 +33,7 @@ class EstimatorSpec(Component):
         return frozenset()
 
     def check_input(self, u: Array) -> None:
-        """Raise EstimationError if with an input like ``u`` (N,) no output could tell the parameters apart."""
+        """Raise EstimationError if an input like ``u`` (N,) cannot tell the parameters apart."""
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         """Estimate from a record; ``rng`` is the estimator's own stream."""

@@ -167,12 +167,12 @@ def kernel_regression(
 
 
 class Bandwidth(Spec):
-    """The bandwidth h_N = h0 N^-alpha."""
+    """h_N = h0 N^-alpha, where N is the number of samples used."""
 
     h0: Annotated[Real, Field(gt=0)]
     """Factor, in the unit of the input."""
-    alpha: Annotated[Real, Field(gt=0, lt=1)]
-    """Exponent of the number of samples."""
+    alpha: Annotated[Real, Field(ge=0, lt=1)]
+    """Exponent of the number of samples; 0 keeps the bandwidth fixed."""
 
     def width(self, n: int) -> float:
         """h_N for ``n`` samples."""
@@ -186,7 +186,7 @@ class KernelEstimator(NonparametricSpec):
     kernel: Kernel
     """The kernel: window_half is 1 for |x| <= 0.5, window_unit for |x| < 1, with x = (u_k - u)/h."""
     bandwidth: Bandwidth
-    """The bandwidth as a function of the number of samples used."""
+    """The bandwidth."""
     empty: Empty = "nearest"
     """What a point without a sample in its window gets; fail: the estimate fails."""
 

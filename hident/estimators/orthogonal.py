@@ -110,7 +110,7 @@ def orthogonal_series(
 
 
 class Terms(Spec):
-    """The cutoff level q(N) = floor(q0 N^alpha)."""
+    """q(N) = floor(q0 N^alpha), where N is the number of samples used."""
 
     q0: Annotated[Real, Field(gt=0)]
     """Factor."""
@@ -170,7 +170,7 @@ class Orthogonal(NonparametricSpec):
     basis: Annotated[BasisSpec, Of("basis")]
     """The orthonormal functions."""
     terms: Terms
-    """The cutoff level as a function of the number of samples used."""
+    """The cutoff level of the series."""
     density: Literal["estimated"] | UniformDensity | GaussianDensity = "estimated"
     """The input's density: estimated by the same series, or known (distribution: uniform or gaussian)."""
 

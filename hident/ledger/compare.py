@@ -13,7 +13,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -75,16 +75,16 @@ def compare(ours: Path, reference: Path, *, rtol: float = 1e-6, complete: bool =
         if ("." in mine) != ("." in theirs):
             one, many = (ours, reference) if "." in mine else (reference, ours)
             raise ConfigError(f"{one} is one result folder and {many} a folder of them: name two of a kind")
-        return _compare(ours, reference, sorted(mine | theirs), rtol, complete)
+        return _compare(ours, reference, mine | theirs, rtol, complete)
     except OSError as error:
         raise StoreError(f"{ours} and {reference} cannot be compared: {error}") from None
 
 
-def _compare(ours: Path, reference: Path, names: Sequence[str], rtol: float, complete: bool) -> Comparison:
+def _compare(ours: Path, reference: Path, names: Set[str], rtol: float, complete: bool) -> Comparison:
     differences: list[str] = []
     absent = []
     compared = 0
-    for name in names:
+    for name in sorted(names):
         mine, theirs = ours / name, reference / name
         if not _files(theirs):
             differences.append(f"{name}: not accepted yet; hident accept {name}")
@@ -96,6 +96,8 @@ def _compare(ours: Path, reference: Path, names: Sequence[str], rtol: float, com
             compared += 1
             title = theirs.resolve().name
             differences.extend(f"{title}/{line}" for line in _folders(mine, theirs, rtol))
+    if "." not in names:
+        differences += _folders(ours, reference, rtol, apart_from=names)
     return Comparison(tuple(differences), compared, tuple(absent))
 
 
@@ -125,8 +127,12 @@ def _files(folder: Path) -> set[str]:
     }
 
 
-def _folders(ours: Path, reference: Path, rtol: float) -> Iterator[str]:
-    mine, theirs = _files(ours), _files(reference)
+def _folders(ours: Path, reference: Path, rtol: float, apart_from: Set[str] = frozenset()) -> Iterator[str]:
+    """The differences of all files but those in the folders with these names."""
+    mine, theirs = (
+        {name for name in _files(folder) if name.partition("/")[0] not in apart_from}
+        for folder in (ours, reference)
+    )
     for name in sorted(mine | theirs):
         if name not in mine:
             yield f"{name}: missing"
@@ -140,7 +146,7 @@ def _contents(ours: Path, reference: Path, rtol: float) -> Iterator[str]:
     try:
         data = ours.read_bytes(), reference.read_bytes()
     except OSError as error:
-        yield f"cannot be read: {error}"
+        yield f"cannot be read: {(error.strerror or str(error)).lower()}"
         return
     if data[0] == data[1]:
         return
@@ -195,14 +201,16 @@ def _decode_table(data: bytes) -> _Table:
 def _tables(ours: _Table, reference: _Table, rtol: float) -> Iterator[str]:
     yield from (f"column {name} is missing" for name in reference.columns if name not in ours.columns)
     yield from (f"column {name} is extra" for name in ours.columns if name not in reference.columns)
-    shared = [name for name in reference.columns if name in ours.columns]
-    key = _key(shared, ours.rows, reference.rows)
+    if set(ours.columns) != set(reference.columns):
+        # Rows of other columns are other rows.
+        return
+    key = _key(reference.columns, ours.rows, reference.rows)
     for mine, theirs in _matched(ours.rows, reference.rows, key, rtol):
         name = ", ".join(f"{column} {(theirs or mine or {})[column]}" for column in key)
         if mine is None or theirs is None:
             yield f"{name}: row is {'missing' if mine is None else 'extra'}"
             continue
-        for column in shared:
+        for column in reference.columns:
             said = _difference(mine[column], theirs[column], rtol)
             if said:
                 yield f"{name}: {column} {said}"

@@ -7,6 +7,8 @@ the printed digits. ``reasons.yaml`` lists reasons, each with the texts or patte
 from __future__ import annotations
 
 import csv
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from fnmatch import fnmatchcase
@@ -14,8 +16,10 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from hident.config.load import problems_of, read
+from hident.config.load import Problem, problems_of, read
 from hident.config.spec import Spec
+from hident.config.suggest import did_you_mean
+from hident.engine.experiment import Label, Plan, PublishedCells
 from hident.errors import ConfigError
 
 _COLUMNS = ("table", "row", "quantity", "printed", "note")
@@ -85,14 +89,20 @@ def read_published(paper: Path) -> dict[Key, Printed]:
     path = paper / "published.csv"
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            if tuple(reader.fieldnames or ()) != _COLUMNS:
-                raise ConfigError(f"{path}:1: the columns must be {','.join(_COLUMNS)}")
-            rows = [(reader.line_num, Printed(**row)) for row in reader]
-    except (OSError, UnicodeDecodeError, csv.Error, TypeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from None
+            reader = csv.reader(file)
+            header = tuple(next(reader, ()))
+            rows = [(reader.line_num, cells) for cells in reader if cells]
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if header != _COLUMNS:
+        raise ConfigError(f"{path}:1: the columns must be {','.join(_COLUMNS)}")
     found: dict[Key, Printed] = {}
-    for line, printed in rows:
+    for line, cells in rows:
+        if len(cells) != len(_COLUMNS):
+            raise ConfigError(f"{path}:{line}: has {len(cells)} cells, not {len(_COLUMNS)}")
+        printed = Printed(*cells)
         try:
             finite = Decimal(printed.printed).is_finite()
         except InvalidOperation:
@@ -103,6 +113,76 @@ def read_published(paper: Path) -> dict[Key, Printed]:
             raise ConfigError(f"{path}:{line}: {' / '.join(printed.key)} stands twice")
         found[printed.key] = printed
     return found
+
+
+def printed_beside(
+    cell: PublishedCells, labels: Mapping[str, Label], numbers: Mapping[Key, Printed]
+) -> Printed:
+    """The printed number that stands beside a cell at these labels of axes.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, with the nearest; if the cell names an axis that its estimator does not have.
+    """
+
+    def label(found: re.Match[str]) -> str:
+        if found[1] not in labels:
+            raise ConfigError(f"the axis '{found[1]}' does not touch the estimator '{cell.estimator}'")
+        return str(labels[found[1]])
+
+    row, quantity = (re.sub(r"{([^{}]*)}", label, text) for text in (cell.row, cell.quantity))
+    key = (cell.table, row, quantity)
+    if key not in numbers:
+        near = did_you_mean(_spelled(key), map(_spelled, numbers))
+        raise ConfigError(f"published.csv has no number for {_spelled(key)}{near}")
+    return numbers[key]
+
+
+def _spelled(key: Key) -> str:
+    return " / ".join(key)
+
+
+def cells_astray(plan: Plan, cells: Sequence[PublishedCells]) -> Iterator[tuple[int, str]]:
+    """The cells, by their place, beside which no estimate or no printed number stands, and why.
+
+    Raises
+    ------
+    ConfigError
+        If the paper's printed numbers cannot be read.
+    """
+    if plan.paper is None:
+        return
+    numbers = read_published(plan.paper)
+    for i, cell in enumerate(cells):
+        cases = [
+            unit.labels
+            for unit in plan.units
+            if unit.name == cell.estimator and cell.metric in unit.metric_labels and unit.is_at(cell.at)
+        ]
+        if not cases:
+            yield i, f"no estimate of '{cell.estimator}' has the metric '{cell.metric}' at these labels"
+        try:
+            for labels in cases:
+                printed_beside(cell, labels, numbers)
+        except ConfigError as error:
+            yield i, str(error)
+
+
+def check_published(plan: Plan) -> None:
+    """Check the cells under ``published`` against the paper's printed numbers.
+
+    Raises
+    ------
+    ConfigError
+        If the printed numbers cannot be read, or with one line for each cell that stands beside none.
+    """
+    published = plan.experiment.published
+    if published is None:
+        return
+    astray = cells_astray(plan, published.cells)
+    if problems := [Problem(("published", "cells", i), message) for i, message in astray]:
+        raise plan.document.error(problems)
 
 
 def read_reasons(paper: Path) -> tuple[Reason, ...]:

@@ -18,8 +18,7 @@ import numpy as np
 
 from hident.engine.experiment import Published, PublishedCells, Statistic
 from hident.engine.results import Results, Series
-from hident.errors import ConfigError
-from hident.ledger.published import Printed, read_published, read_reasons
+from hident.ledger.published import Printed, printed_beside, read_published, read_reasons
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,26 +57,18 @@ def judge(results: Results) -> tuple[Verdict, ...]:
         If a cell that the configuration names is not among the printed numbers.
     """
     published, paper = results.plan.experiment.published, results.plan.paper
-    if published is None:
+    if published is None or paper is None:
         return ()
-    if paper is None:
-        raise ConfigError(f"{results.plan.path}: published: needs 'paper:', the folder under experiments/")
     numbers, reasons = read_published(paper), read_reasons(paper)
     verdicts = []
     for cell in published.cells:
         for series in results.select(cell.estimator, cell.metric, cell.at):
-            labels = series.unit.labels
-            key = (cell.table, cell.row.format_map(labels), cell.quantity.format_map(labels))
-            if key not in numbers:
-                raise ConfigError(
-                    f"{paper / 'published.csv'} has no number for {' / '.join(key)}, which "
-                    f"{results.plan.path} names under published"
-                )
+            printed = printed_beside(cell, series.unit.labels, numbers)
             ours, low, high, interval = _interval(series, cell.statistic, published)
-            word = _word(numbers[key], ours, low, high)
-            why = next((r.reason for r in reasons if r.covers(results.plan.name, key)), "")
+            word = _word(printed, ours, low, high)
+            why = next((r.reason for r in reasons if r.covers(results.plan.name, printed.key)), "")
             reason = why if word == "differs" else ""
-            verdicts.append(Verdict(numbers[key], cell, series, ours, low, high, word, reason, interval))
+            verdicts.append(Verdict(printed, cell, series, ours, low, high, word, reason, interval))
     return tuple(verdicts)
 
 
@@ -96,6 +87,7 @@ def _word(printed: Printed, ours: float, low: float, high: float) -> Word:
     return "agrees" if low - slack <= printed.value <= high + slack else "differs"
 
 
+@np.errstate(all="ignore")
 def _interval(series: Series, statistic: Statistic, published: Published) -> tuple[float, float, float, str]:
     ours, runs = series.value(statistic), published.paper_trials
     if not len(series.valid):

@@ -14,8 +14,14 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-Reference = tuple[str, str, str]
-"""The field that refers, what to (estimator, metric, axis or 'label of AXIS'), and the name."""
+    from hident.engine.experiment import Plan
+
+Field = str | tuple[str | int, ...]
+"""A field of a spec, or the path to an entry of it: ("columns", 0, "estimator")."""
+Reference = tuple[Field, str, str]
+"""The field that refers, what to (estimator, metric, axis, table or 'label of AXIS'), and the name."""
+Misfit = tuple[Field, str]
+"""A field, and why it does not do."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +59,28 @@ def _is_number(text: str) -> bool:
     try:
         float(text.split(" ", maxsplit=1)[0])
     except ValueError:
-        return text == ""
+        return text in ("", "-")
     return True
+
+
+def unscored(plan: Plan, field: Field, estimator: str, metric: str) -> Iterator[Misfit]:
+    """A misfit if no unit of the estimator is scored by the metric."""
+    if not any(unit.name == estimator and metric in unit.metric_labels for unit in plan.units):
+        yield field, f"the metric '{metric}' does not score the estimator '{estimator}'"
+
+
+def not_numeric(plan: Plan, field: Field, axis: str, *, positive: bool, least: int = 1) -> Iterator[Misfit]:
+    """A misfit if the labels of the axis are not numbers, or not positive, or too few."""
+    labels = next((a.labels for a in plan.axes if a.name == axis), ())
+    try:
+        numbers = [float(label) for label in labels]
+    except ValueError:
+        yield field, f"the labels of the axis '{axis}' must be numbers, not {', '.join(map(str, labels))}"
+        return
+    if positive and min(numbers, default=1.0) <= 0.0:
+        yield field, f"the labels of the axis '{axis}' must be positive for a logarithm"
+    if len(numbers) < least:
+        yield field, f"the axis '{axis}' needs at least {least} labels"
 
 
 class TableSpec(Component):
@@ -67,6 +93,10 @@ class TableSpec(Component):
         """The names of the configuration that it refers to."""
         yield from ()
 
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        """What cannot be shown of this plan, though every name is known."""
+        yield from ()
+
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         """The table of the results, with the printed numbers beside them where there are any."""
         raise NotImplementedError
@@ -77,6 +107,10 @@ class FigureSpec(Component):
 
     def references(self) -> Iterator[Reference]:
         """The names of the configuration that it refers to."""
+        yield from ()
+
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        """What cannot be shown of this plan, though every name is known."""
         yield from ()
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:

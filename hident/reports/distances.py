@@ -10,12 +10,11 @@ import numpy as np
 from pydantic import Field
 
 from hident.config.spec import Count, component
-from hident.engine.experiment import PublishedCells
+from hident.engine.experiment import Plan, PublishedCells
 from hident.engine.results import Results
-from hident.errors import ConfigError
-from hident.ledger.published import read_published
+from hident.ledger.published import cells_astray, printed_beside, read_published
 from hident.ledger.verdicts import Verdict
-from hident.reports.base import Reference, Table, TableSpec
+from hident.reports.base import Misfit, Reference, Table, TableSpec
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -38,9 +37,15 @@ class _Distances(TableSpec):
         for axis, label in self.at.items():
             yield "at", "axis", axis
             yield "at", f"label of {axis}", str(label)
-        for cell in self.cells:
-            yield "cells", "estimator", cell.estimator
-            yield "cells", "metric", cell.metric
+        for i, cell in enumerate(self.cells):
+            yield ("cells", i, "estimator"), "estimator", cell.estimator
+            yield ("cells", i, "metric"), "metric", cell.metric
+
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        if plan.paper is None:
+            yield "cells", "needs 'paper', the folder under experiments/ with the numbers"
+        for i, message in cells_astray(plan, self.cells):
+            yield ("cells", i), message
 
     def axes(self, results: Results) -> list[str]:
         return [axis.name for axis in results.plan.axes if axis.name != self.rows]
@@ -48,22 +53,20 @@ class _Distances(TableSpec):
     def distances(self, results: Results) -> dict[tuple[str, ...], float]:
         """The distance by metric, statistic, quantity and labels; '' for an axis that does not matter."""
         paper = results.plan.paper
-        if paper is None:
-            raise ConfigError(f"{results.plan.path}: the table '{self.title}' needs 'paper:'")
+        assert paper is not None
         numbers = read_published(paper)
         ratios: dict[tuple[str, ...], list[float]] = {}
         for cell in self.cells:
             for series in results.select(cell.estimator, cell.metric, cell.at):
                 labels = series.unit.labels
-                key = (cell.table, cell.row.format_map(labels), cell.quantity.format_map(labels))
-                if key not in numbers:
-                    raise ConfigError(f"{paper / 'published.csv'} has no number for {' / '.join(key)}")
-                if any(str(labels.get(axis, label)) != str(label) for axis, label in self.at.items()):
+                printed = printed_beside(cell, labels, numbers)
+                if not series.unit.is_at(self.at):
                     continue
                 setting = tuple(str(labels.get(axis, "")) for axis in self.axes(results))
                 with np.errstate(divide="ignore", invalid="ignore"):
-                    ratio = abs(np.log(series.value(cell.statistic) / numbers[key].value))
-                ratios.setdefault((cell.metric, cell.statistic, key[2], *setting), []).append(float(ratio))
+                    ratio = abs(np.log(series.value(cell.statistic) / printed.value))
+                group = (cell.metric, cell.statistic, printed.quantity, *setting)
+                ratios.setdefault(group, []).append(float(ratio))
         return {group: float(np.mean(values)) for group, values in ratios.items()}
 
     def table(self, data: pd.DataFrame, shown: pd.DataFrame) -> Table:

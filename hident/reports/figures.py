@@ -10,18 +10,21 @@ import numpy as np
 from pydantic import Field
 
 from hident.config.spec import Count, Flag, Real, Spec, component
-from hident.engine.experiment import Label, Statistic
+from hident.engine.experiment import Label, Plan, Statistic
 from hident.engine.results import Results, Series
 from hident.engine.trial import Job, estimate, generate
 from hident.errors import EstimationError
 from hident.ledger.verdicts import Verdict
 from hident.records import Array
-from hident.reports.base import FigureSpec, Reference
+from hident.reports.base import FigureSpec, Misfit, Reference, not_numeric, unscored
 from hident.reports.style import DATA, ESTIMATE, LINES, TRUTH
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+_MOST_TICKS = 7
 
 
 class Slope(Spec):
@@ -56,20 +59,30 @@ class Curve(FigureSpec):
     log_y: Flag = True
     """Logarithmic ordinate."""
     slopes: tuple[Slope, ...] = ()
-    """Reference lines through the first point of the first curve."""
-    panels: tuple[tuple[str, ...], ...] = ()
+    """Reference lines, each starting at half the height of the first curve."""
+    panels: tuple[Annotated[tuple[str, ...], Field(min_length=1)], ...] = ()
     """Names of estimators for each panel, on common axes; one panel with all by default."""
 
     def references(self) -> Iterator[Reference]:
         yield "x", "axis", self.x
         yield "metric", "metric", self.metric
-        for name in itertools.chain.from_iterable(self.panels):
-            yield "panels", "estimator", name
+        for i, panel in enumerate(self.panels):
+            for j, name in enumerate(panel):
+                yield ("panels", i, j), "estimator", name
+
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        yield from not_numeric(plan, "x", self.x, positive=self.log_x)
+        for i, panel in enumerate(self._panels(plan)):
+            for j, name in enumerate(panel):
+                yield from unscored(plan, ("panels", i, j) if self.panels else "metric", name, self.metric)
+
+    def _panels(self, plan: Plan) -> tuple[tuple[str, ...], ...]:
+        return self.panels or (tuple(plan.experiment.estimators),)
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         import matplotlib.pyplot as plt
 
-        panels = self.panels or (tuple(results.plan.experiment.estimators),)
+        panels = self._panels(results.plan)
         columns = min(2, len(panels))
         rows = -(-len(panels) // columns)
         figure, grid = plt.subplots(
@@ -119,7 +132,12 @@ class Curve(FigureSpec):
             return np.sqrt(values) if self.root else values
 
         if self.band:
-            axes.fill_between(x, heights("q05"), heights("q95"), color=line["color"], alpha=0.15, linewidth=0)
+            low, high = heights("q05"), heights("q95")
+            axes.fill_between(x, low, high, color=line["color"], alpha=0.15, linewidth=0)
+            # The edges tell overlapping bands apart without colour.
+            edge: dict[str, Any] = {"linewidth": 0.6, "alpha": 0.6, "marker": ""}
+            axes.plot(x, low, **{**line, **edge})
+            axes.plot(x, high, **{**line, **edge})
         axes.plot(x, heights(self.statistic), label=name, **line)
         printed = [(a, beside[id(s)].printed.value) for a, s in zip(x, curve, strict=True) if id(s) in beside]
         if printed:
@@ -141,7 +159,10 @@ class Curve(FigureSpec):
         if self.log_y:
             axes.set_yscale("log")
         x = np.array([float(series.unit.labels[self.x]) for series in first])
-        start = first[0].statistics[self.statistic] ** (0.5 if self.root else 1.0)
+        if len(x) <= _MOST_TICKS:
+            axes.set_xticks(x, [f"{label:g}" for label in x], minor=False)
+            axes.set_xticks([], minor=True)
+        start = 0.5 * first[0].statistics[self.statistic] ** (0.5 if self.root else 1.0)
         for i, reference in enumerate(self.slopes):
             axes.plot(
                 x,
@@ -158,28 +179,40 @@ class Curve(FigureSpec):
 class Realisation(FigureSpec):
     """The estimates of one trial against the true characteristic, with the data."""
 
-    at: tuple[dict[str, Any], ...] = ({},)
+    at: Annotated[tuple[dict[str, Any], ...], Field(min_length=1)] = ({},)
     """Labels of the cases, one panel for each, e.g. [{samples: 50}, {samples: 500}]."""
     trial: Annotated[Count, Field(ge=0)] = 0
     """Number of the trial."""
-    estimators: tuple[str, ...]
+    estimators: Annotated[tuple[str, ...], Field(min_length=1)]
     """Names of the estimators."""
+    names: dict[str, str] = {}
+    """Symbols of axes for the titles, e.g. {samples: N}."""
     interval: tuple[Real, Real]
     """Range of the abscissa."""
     y_limits: tuple[Real, Real] | None = None
     """Range of the ordinate; by the truth and the estimates by default."""
     x_label: str = "u"
     """Label of the abscissa."""
-    y_label: str = "μ(u)"
+    y_label: str = "y, μ(u)"
     """Label of the ordinate."""
 
     def references(self) -> Iterator[Reference]:
-        for labels in self.at:
+        for i, labels in enumerate(self.at):
             for axis, label in labels.items():
-                yield "at", "axis", axis
-                yield "at", f"label of {axis}", str(label)
-        for estimator in self.estimators:
-            yield "estimators", "estimator", estimator
+                yield ("at", i, axis), "axis", axis
+                yield ("at", i, axis), f"label of {axis}", str(label)
+        for i, estimator in enumerate(self.estimators):
+            yield ("estimators", i), "estimator", estimator
+
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        if not self.interval[0] < self.interval[1]:
+            yield "interval", "must be [low, high] with low < high"
+        for i, estimator in enumerate(self.estimators):
+            unit = next(unit for unit in plan.units if unit.name == estimator)
+            if "nonlinearity" not in unit.estimator.provides():
+                yield ("estimators", i), f"the estimator '{estimator}' does not give a nonlinearity"
+        if "nonlinearity" not in plan.units[0].data.system.provides():
+            yield "kind", "the system has no true nonlinearity to show"
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         import matplotlib.pyplot as plt
@@ -221,7 +254,7 @@ class Realisation(FigureSpec):
         true[np.searchsorted(u, [b for b in truth.breakpoints if low < b < high])] = np.nan
         axes.plot(record.u, record.y, label="data", **DATA)
         axes.plot(u, true, label="true μ", **TRUTH)
-        case = ", ".join(f"{axis} {label}" for axis, label in labels.items())
+        case = ", ".join(f"{self.names.get(axis, axis)} = {label}" for axis, label in labels.items())
         axes.set_title(f"{name}{', ' if case else ''}{case}")
         try:
             with np.errstate(all="ignore"):

@@ -12,20 +12,23 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import hident
+from hident.config.load import Problem
 from hident.config.spec import canonical
 from hident.engine.experiment import Plan
 from hident.engine.fingerprint import code, libraries
 from hident.engine.results import Results
 from hident.engine.runner import unit_key
 from hident.engine.trial import digest
-from hident.errors import StoreError
+from hident.errors import ConfigError, StoreError
 from hident.ledger.verdicts import Verdict, frame, judge
 from hident.reports.base import FigureSpec, Table, TableSpec
 from hident.reports.style import style
+from hident.reports.tables import written
 
+State = Literal["none", "old", "altered", "up to date"]
 CRASHES = "crashes.txt"
 """What a crashed run leaves in its folder."""
 _PACKAGES = ("numpy", "scipy", "finufft", "pandas", "matplotlib", "pydantic")
@@ -47,16 +50,23 @@ def output_key(plan: Plan, seed: int, trials: int) -> str:
     )
 
 
-def up_to_date(folder: Path, key: str) -> bool:
+def state(folder: Path, key: str) -> State:
     """Whether the folder holds, unaltered, what a run with this key wrote."""
+    file = folder / "run.json"
+    if not file.exists():
+        return "none"
     try:
-        provenance = json.loads((folder / "run.json").read_bytes())["provenance"]
-        return bool(provenance["key"] == key) and all(
-            hashlib.sha256((folder / name).read_bytes()).hexdigest() == sha
-            for name, sha in provenance["sha256"].items()
+        run = json.loads(file.read_bytes())
+        provenance = run["provenance"]
+        if provenance["key"] != key:
+            return "old"
+        digests = provenance.pop("sha256")
+        sound = digests.pop("run.json") == digest(run) and all(
+            hashlib.sha256((folder / name).read_bytes()).hexdigest() == sha for name, sha in digests.items()
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return False
+        return "altered"
+    return "up to date" if sound else "altered"
 
 
 def write(results: Results, folder: Path, run: Mapping[str, Any]) -> None:
@@ -97,6 +107,26 @@ def write(results: Results, folder: Path, run: Mapping[str, Any]) -> None:
         shutil.rmtree(staged, ignore_errors=True)
 
 
+def check(plan: Plan) -> None:
+    """Check that every table and figure can show this plan.
+
+    Raises
+    ------
+    ConfigError
+        With one line for each that cannot.
+    """
+    experiment = plan.experiment
+    problems = [
+        Problem((family, name, *((field,) if isinstance(field, str) else field)), message)
+        for family, specs in (("tables", experiment.tables), ("figures", experiment.figures))
+        for name, spec in specs.items()
+        if isinstance(spec, TableSpec | FigureSpec)
+        for field, message in spec.misfits(plan)
+    ]
+    if problems:
+        raise plan.document.error(problems)
+
+
 def keep_tracebacks(tracebacks: str, folder: Path) -> Path | None:
     """Write the tracebacks of crashes to a file; None if that is impossible."""
     path = folder / CRASHES
@@ -113,17 +143,45 @@ def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str,
     experiment = results.plan.experiment
     parts = [f"# {experiment.title}", f"{results.trials} trials, seed {results.seed}."]
     parts += [table.markdown() for table in tables.values()]
+    if not tables:
+        parts.append(_plain_table(results).markdown())
     if verdicts:
         words = [verdict.word for verdict in verdicts]
-        counts = ", ".join(f"{words.count(word)} {word}" for word in dict.fromkeys(words))
+        counts = ", ".join(f"{words.count(word)} {word}" for word in ("exact", "agrees", "differs"))
         parts.append(f"Printed numbers: {len(words)}, of which {counts}.")
-        parts += [
-            f"- {' / '.join(v.printed.key)}: printed {v.printed.printed}, ours {v.ours:.4g} "
-            f"[{v.low:.4g}, {v.high:.4g}]: {v.reason or 'no reason is given yet'}"
-            for v in verdicts
-            if v.word == "differs"
-        ]
+        parts += _differences(verdicts)
     return "\n\n".join(parts) + "\n"
+
+
+def _plain_table(results: Results) -> Table:
+    """The main statistics of every series, where the configuration asks for no table."""
+    columns = [axis.name for axis in results.plan.axes]
+    columns += ["estimator", "metric", "trials", "failed", "mean", "std", "median"]
+    rows = tuple(
+        tuple(written(value) if isinstance(value, float) else str(value) for value in row)
+        for row in results.frame()[columns].itertuples(index=False)
+    )
+    return Table("All statistics", tuple(columns), rows)
+
+
+def _differences(verdicts: Sequence[Verdict]) -> list[str]:
+    """The numbers that differ, those of one reason together."""
+    differing = [verdict for verdict in verdicts if verdict.word == "differs"]
+    return [
+        "\n".join(
+            [
+                f"Differs: {reason or 'no reason is given yet.'}",
+                "",
+                *(
+                    f"- {' / '.join(v.printed.key)}: printed {v.printed.printed}, ours {v.ours:.4g} "
+                    f"[{v.low:.4g}, {v.high:.4g}]"
+                    for v in differing
+                    if v.reason == reason
+                ),
+            ]
+        )
+        for reason in dict.fromkeys(verdict.reason for verdict in differing)
+    ]
 
 
 def _write_text_files(
@@ -152,10 +210,17 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
         with style():
             import matplotlib.pyplot as plt
 
-            figure = spec.draw(results, verdicts)
-            # Without the writer's version in it, the file depends on what it shows alone.
-            figure.savefig(folder / f"{name}.png", metadata={"Software": None})
-            plt.close(figure)
+            try:
+                figure = spec.draw(results, verdicts)
+                # Without the writer's version in it, the file depends on what it shows alone.
+                figure.savefig(folder / f"{name}.png", metadata={"Software": None})
+            except ValueError as error:  # Such as a label that is no mathematics.
+                reason = str(error).strip().splitlines()[-1]
+                raise ConfigError(
+                    f"{results.plan.path}: figures.{name}: cannot be drawn ({reason}). All trials are kept"
+                ) from None
+            finally:
+                plt.close("all")
         names.append(f"{name}.png")
     return names
 
@@ -163,7 +228,7 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
 def _run_json(results: Results, folder: Path, files: Sequence[str], run: Mapping[str, Any]) -> str:
     plan = results.plan
     resolved = canonical(plan.experiment)
-    content = {
+    content: dict[str, Any] = {
         "experiment": {
             "config": plan.name,
             "hash": digest(resolved),
@@ -183,8 +248,12 @@ def _run_json(results: Results, folder: Path, files: Sequence[str], run: Mapping
             "finished": datetime.now(UTC).isoformat(timespec="seconds"),
             **run,
             "key": output_key(plan, results.seed, results.trials),
-            "sha256": {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in files},
         },
+    }
+    content["provenance"]["sha256"] = {
+        **{name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in files},
+        # Of all but these hashes, as plain data.
+        "run.json": digest(content),
     }
     return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
 

@@ -9,12 +9,20 @@ import numpy as np
 from pydantic import Field
 
 from hident.config.spec import Count, Flag, component
+from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
 from hident.engine.trial import generate
-from hident.errors import ConfigError
 from hident.ledger.verdicts import Verdict
 from hident.records import Array
-from hident.reports.base import FigureSpec, Reference, Table, TableSpec
+from hident.reports.base import (
+    FigureSpec,
+    Misfit,
+    Reference,
+    Table,
+    TableSpec,
+    not_numeric,
+    unscored,
+)
 from hident.reports.style import LINES, TRUTH
 from hident.reports.tables import LEGEND, SIGNS, intervals
 
@@ -33,20 +41,25 @@ class Parameters(TableSpec):
 
     metric: str
     """Name of the metric of kind value."""
-    of: tuple[str, ...]
+    of: Annotated[tuple[str, ...], Field(min_length=1)]
     """Names of the values, one row each."""
     mean_only: tuple[str, ...] = ()
     """Names of values whose standard deviation the paper does not print, such as a loss."""
-    estimators: tuple[str, ...]
+    estimators: Annotated[tuple[str, ...], Field(min_length=1)]
     """Names of the estimators, one column each."""
     decimals: Annotated[Count, Field(ge=0, le=15)] = 4
     """Decimals."""
 
     def references(self) -> Iterator[Reference]:
-        for estimator in self.estimators:
-            yield "estimators", "estimator", estimator
+        for i, estimator in enumerate(self.estimators):
+            yield ("estimators", i), "estimator", estimator
         for name in (*self.of, *self.mean_only):
             yield "of", "metric", f"{self.metric} {name}"
+
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        for i, estimator in enumerate(self.estimators):
+            for name in (*self.of, *self.mean_only):
+                yield from unscored(plan, ("estimators", i), estimator, f"{self.metric} {name}")
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         beside: dict[tuple[int, str], Verdict] = {(id(v.series), v.cell.statistic): v for v in verdicts}
@@ -75,9 +88,9 @@ class Efficiency(TableSpec):
 
     metric: str
     """Name of the metric of kind error."""
-    of: tuple[str, ...]
+    of: Annotated[tuple[str, ...], Field(min_length=1)]
     """Names of the parameters, one column each."""
-    estimators: tuple[str, ...]
+    estimators: Annotated[tuple[str, ...], Field(min_length=1)]
     """Names of the estimators."""
     bound: str
     """Name of the estimator of kind cramer_rao."""
@@ -90,6 +103,12 @@ class Efficiency(TableSpec):
         for name in self.of:
             yield "of", "metric", f"{self.metric} {name}"
             yield "of", "metric", f"{self.bound_metric} se_{name}"
+
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        for name in self.of:
+            yield from unscored(plan, "bound", self.bound, f"{self.bound_metric} se_{name}")
+            for i, estimator in enumerate(self.estimators):
+                yield from unscored(plan, ("estimators", i), estimator, f"{self.metric} {name}")
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         import pandas as pd
@@ -129,16 +148,21 @@ class ParameterFigure(FigureSpec):
 
     metric: str
     """Name of the metric of kind value."""
-    of: tuple[str, ...]
+    of: Annotated[tuple[str, ...], Field(min_length=1)]
     """Names of the values, one panel each."""
-    estimators: tuple[str, ...]
+    estimators: Annotated[tuple[str, ...], Field(min_length=1)]
     """Names of the estimators."""
 
     def references(self) -> Iterator[Reference]:
-        for estimator in self.estimators:
-            yield "estimators", "estimator", estimator
+        for i, estimator in enumerate(self.estimators):
+            yield ("estimators", i), "estimator", estimator
         for name in self.of:
             yield "of", "metric", f"{self.metric} {name}"
+
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        for name in self.of:
+            for i, estimator in enumerate(self.estimators):
+                yield from unscored(plan, ("estimators", i), estimator, f"{self.metric} {name}")
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         import matplotlib.pyplot as plt
@@ -180,7 +204,7 @@ class Gain(FigureSpec):
 
     metric: str
     """Name of the metric of kind value."""
-    of: tuple[str, ...]
+    of: Annotated[tuple[str, ...], Field(min_length=1)]
     """Names of the values."""
     reference: str
     """Name of the estimator in the numerator."""
@@ -194,6 +218,11 @@ class Gain(FigureSpec):
         yield "estimator", "estimator", self.estimator
         for name in self.of:
             yield "of", "metric", f"{self.metric} {name}"
+
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        for name in self.of:
+            yield from unscored(plan, "reference", self.reference, f"{self.metric} {name}")
+            yield from unscored(plan, "estimator", self.estimator, f"{self.metric} {name}")
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         import matplotlib.pyplot as plt
@@ -236,7 +265,7 @@ class EfficiencyFigure(FigureSpec):
     """The axis along the abscissa."""
     table: str
     """Name of the table of kind efficiency that it draws."""
-    of: tuple[str, ...]
+    of: Annotated[tuple[str, ...], Field(min_length=1)]
     """Names of the parameters, one panel each."""
     x_label: str
     """Label of the abscissa, with its unit."""
@@ -247,12 +276,19 @@ class EfficiencyFigure(FigureSpec):
         yield "x", "axis", self.x
         yield "table", "table", self.table
 
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        yield from not_numeric(plan, "x", self.x, positive=False)
+        source = plan.experiment.tables[self.table]
+        if not isinstance(source, Efficiency):
+            yield "table", f"the table '{self.table}' must be of kind efficiency, not {source.kind}"
+        elif unknown := [name for name in self.of if name not in source.of]:
+            yield "of", f"the table '{self.table}' does not hold {', '.join(unknown)}"
+
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         import matplotlib.pyplot as plt
 
         source = results.plan.experiment.tables[self.table]
-        if not isinstance(source, Efficiency):
-            raise ConfigError(f"{results.plan.path}: the table '{self.table}' must be of kind efficiency")
+        assert isinstance(source, Efficiency)
         columns = min(4, len(self.of))
         rows = -(-len(self.of) // columns)
         figure, grid = plt.subplots(

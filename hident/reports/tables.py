@@ -11,15 +11,15 @@ import numpy as np
 from pydantic import Field
 
 from hident.config.spec import Count, Flag, Real, Spec, component
-from hident.engine.experiment import Label, Statistic
+from hident.engine.experiment import Label, Plan, Statistic
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict
-from hident.reports.base import Reference, Table, TableSpec
+from hident.reports.base import Misfit, Reference, Table, TableSpec, not_numeric, unscored
 
 SIGNS = {"exact": "=", "agrees": "~", "differs": "!"}
 LEGEND = (
     "Beside ours, the printed number: `=` ours rounds to it, `~` it lies in the interval that the trials "
-    "give, `!` it differs."
+    "give and so is not excluded, `!` it differs."
 )
 Shown = Literal["mean", "std", "se", "median", "spread", "mean_std"]
 
@@ -28,11 +28,15 @@ def written(value: float, digits: int = 3) -> str:
     """A number with ``digits`` significant digits, and at least its integer part in full."""
     if not math.isfinite(value):
         return "-"
-    if value and not 1e-4 <= abs(value) < 1e7:
+    if value and not 1e-4 <= abs(value) < 10.0 ** max(5, digits):
         return f"{value:.{digits - 1}e}"
+    return f"{value:.{_decimals(value, digits)}f}"
+
+
+def _decimals(value: float, digits: int) -> int:
+    """The decimals that show ``digits`` significant digits of a value."""
     rounded = float(f"{value:.{digits - 1}e}")
-    decimals = max(0, digits - 1 - math.floor(math.log10(abs(rounded)))) if value else 0
-    return f"{value:.{decimals}f}"
+    return max(0, digits - 1 - math.floor(math.log10(abs(rounded)))) if value else 0
 
 
 class Column(Spec):
@@ -56,16 +60,22 @@ class Grid(TableSpec):
     """The axis that goes down."""
     row_header: str | None = None
     """Heading of the first column; the axis by default."""
-    columns: tuple[Column, ...]
+    columns: Annotated[tuple[Column, ...], Field(min_length=1)]
     """What goes across."""
+    printed: Flag = True
+    """Show the printed numbers beside ours."""
     digits: Annotated[Count, Field(ge=1, le=15)] = 3
     """Significant digits."""
 
     def references(self) -> Iterator[Reference]:
         yield "rows", "axis", self.rows
-        for column in self.columns:
-            yield "columns", "estimator", column.estimator
-            yield "columns", "metric", column.metric
+        for i, column in enumerate(self.columns):
+            yield ("columns", i, "estimator"), "estimator", column.estimator
+            yield ("columns", i, "metric"), "metric", column.metric
+
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        for i, column in enumerate(self.columns):
+            yield from unscored(plan, ("columns", i, "metric"), column.estimator, column.metric)
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         beside: dict[tuple[int, str], Verdict] = {
@@ -79,7 +89,7 @@ class Grid(TableSpec):
         for column in self.columns:
             header.append(column.header or column.estimator)
             series = results.select(column.estimator, column.metric)
-            shown.append(any((id(one), column.statistic) in beside for one in series))
+            shown.append(self.printed and any((id(one), column.statistic) in beside for one in series))
             header += ["printed"] * shown[-1]
         rows = []
         for label in results.labels(self.rows):
@@ -107,7 +117,10 @@ class Grid(TableSpec):
                 quartiles = f"{written(s['q25'], self.digits)}, {written(s['q75'], self.digits)}"
                 return f"{written(s['median'], self.digits)} [{quartiles}]"
             case "mean_std":
-                return f"{written(s['mean'], self.digits)} ± {written(s['std'], self.digits)}"
+                if not math.isfinite(s["std"]):
+                    return f"{written(s['mean'], self.digits)} ± -"
+                decimals = _decimals(s["std"], self.digits)
+                return f"{s['mean']:.{decimals}f} ± {s['std']:.{decimals}f}"
             case _:
                 return written(s[statistic], self.digits)
 
@@ -137,7 +150,7 @@ class Rate(TableSpec):
     """The axis whose labels are numbers, e.g. samples."""
     metric: str
     """Label of the metric."""
-    estimators: tuple[str, ...]
+    estimators: Annotated[tuple[str, ...], Field(min_length=1)]
     """Names of the estimators."""
     statistic: Statistic = "mean"
     """The statistic whose rate is sought."""
@@ -149,8 +162,13 @@ class Rate(TableSpec):
     def references(self) -> Iterator[Reference]:
         yield "axis", "axis", self.axis
         yield "metric", "metric", self.metric
-        for estimator in self.estimators:
-            yield "estimators", "estimator", estimator
+        for i, estimator in enumerate(self.estimators):
+            yield ("estimators", i), "estimator", estimator
+
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        yield from not_numeric(plan, "axis", self.axis, positive=True, least=2)
+        for i, estimator in enumerate(self.estimators):
+            yield from unscored(plan, ("estimators", i), estimator, self.metric)
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         import pandas as pd

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
@@ -36,14 +35,6 @@ class NonlinearitySpec(Component):
         return ()
 
 
-@dataclass(frozen=True, eq=False)
-class Simulation:
-    """A noise-free simulation: the output (N,) and the signals inside, by name, each (N,)."""
-
-    output: Array
-    internal: dict[str, Array]
-
-
 class SystemSpec(Component):
     """Base of all systems."""
 
@@ -51,8 +42,8 @@ class SystemSpec(Component):
         """Samples before the record after which the start no longer matters."""
         return 0
 
-    def simulate(self, u: Array) -> Simulation:
-        """The noise-free response to ``u`` (N,)."""
+    def simulate(self, u: Array) -> Array:
+        """The noise-free response (N,) to ``u`` (N,), an array of its own."""
         raise NotImplementedError
 
     def truth(self) -> Truth:

@@ -9,7 +9,7 @@ from pydantic import model_validator
 
 from hident.config.spec import Of, component
 from hident.records import Array, Truth
-from hident.systems.base import NonlinearitySpec, Simulation, SystemSpec
+from hident.systems.base import NonlinearitySpec, SystemSpec
 from hident.systems.linear import LinearSpec
 
 
@@ -34,11 +34,10 @@ class _OneLinearBlock(SystemSpec):
 
 @component("system", "hammerstein")
 class Hammerstein(_OneLinearBlock):
-    """A static nonlinearity, then a linear block; w between them."""
+    """A static nonlinearity, then a linear block."""
 
-    def simulate(self, u: Array) -> Simulation:
-        w = self.nonlinearity(u)
-        return Simulation(output=self.linear.simulate(w), internal={"w": w})
+    def simulate(self, u: Array) -> Array:
+        return self.linear.simulate(self.nonlinearity(u))
 
     def truth(self) -> Truth:
         """The parts of the system, the coefficients of a polynomial among the values.
@@ -54,11 +53,10 @@ class Hammerstein(_OneLinearBlock):
 
 @component("system", "wiener")
 class Wiener(_OneLinearBlock):
-    """A linear block, then a static nonlinearity; x between them."""
+    """A linear block, then a static nonlinearity."""
 
-    def simulate(self, u: Array) -> Simulation:
-        x = self.linear.simulate(u)
-        return Simulation(output=self.nonlinearity(x), internal={"x": x})
+    def simulate(self, u: Array) -> Array:
+        return self.nonlinearity(self.linear.simulate(u))
 
 
 def _start(initial: str | tuple[float, ...]) -> str:
@@ -67,7 +65,7 @@ def _start(initial: str | tuple[float, ...]) -> str:
 
 @component("system", "wiener_hammerstein")
 class WienerHammerstein(SystemSpec):
-    """A static nonlinearity between two linear blocks; x before it, w after it."""
+    """A static nonlinearity between two linear blocks."""
 
     input_linear: Annotated[LinearSpec, Of("linear")]
     """The linear block before the nonlinearity."""
@@ -90,10 +88,8 @@ class WienerHammerstein(SystemSpec):
     def burn_in(self) -> int:
         return self.input_linear.burn_in() + self.output_linear.burn_in()
 
-    def simulate(self, u: Array) -> Simulation:
-        x = self.input_linear.simulate(u)
-        w = self.nonlinearity(x)
-        return Simulation(output=self.output_linear.simulate(w), internal={"x": x, "w": w})
+    def simulate(self, u: Array) -> Array:
+        return self.output_linear.simulate(self.nonlinearity(self.input_linear.simulate(u)))
 
     def truth(self) -> Truth:
         values = {

@@ -17,12 +17,16 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+import hident
+from hident import plugins
 from hident.cli import Listed, app
+from hident.config.spec import components
 from hident.progress import Lines
 
 if TYPE_CHECKING:
     from tests.conftest import Lab
 
+plugins.load()
 _VERBS = ("list", "validate", "run", "status", "compare", "accept", "verify", "schema", "export")
 _PUBLISHED = {
     "paper_trials": "unknown",
@@ -76,6 +80,18 @@ def test_list_of_configs(lab: Lab) -> None:
     (lab.folder / "configs").mkdir()
     (lab.folder / "tiny.yaml").rename(lab.folder / "configs/tiny.yaml")
     assert lab.hident("list", "configs").stdout.split() == ["tiny", "Tiny"]
+    wide = {**os.environ, "COLUMNS": "200"}
+    assert lab.hident("list", "configs", "tiny", env=wide).stdout.splitlines() == [
+        "tiny: Tiny",
+        "configs/tiny.yaml: fine: 2 cases, 4 estimates of 6 trials",
+        "",
+        "case     labels",
+        "samples  50, 80",
+        "",
+        "estimator  what it is",
+        f"known      {components('estimator')['known_dynamics'].summary()}",
+        f"iv         {components('estimator')['instrumental_variables'].summary()}",
+    ]
     # Found by its name alone.
     assert lab.hident("validate", "tiny").stdout.startswith("configs/tiny.yaml: fine: 2 cases, 4 estimates")
 
@@ -99,6 +115,18 @@ def test_validate_several_files_shows_all_errors_of_all(lab: Lab) -> None:
     assert said.stdout == ""
     for text in ("one.yaml:", "trials", "seed", "two.yaml:", "title", "three.yaml"):
         assert text in said.stderr
+
+
+def test_validate_looks_up_the_printed_numbers(done: Lab) -> None:
+    printed = done.folder / "experiments/paper/published.csv"
+    printed.write_text(printed.read_text().replace("N=80", "N=90"))
+    assert done.hident("validate", "tiny.yaml", code=2).stderr == (
+        "error: tiny.yaml:51: published.cells[0]: published.csv has no number for T / N=80 / a; "
+        "did you mean 'T / N=90 / a'?\n"
+    )
+    printed.unlink()
+    said = done.hident("validate", "tiny.yaml", code=2).stderr
+    assert said.endswith("experiments/paper/published.csv: no such file\n")
 
 
 def test_two_files_of_one_name_would_share_a_folder(lab: Lab) -> None:
@@ -163,9 +191,22 @@ def test_an_altered_or_missing_output_is_written_again(done: Lab) -> None:
     before = done.table
     (done.folder / "out/tiny/table.csv").write_bytes(before + b"\n")
     (done.folder / "out/tiny/table.md").unlink()
-    assert "old or altered" in done.hident("status", "tiny.yaml").stdout
+    assert "altered" in done.hident("status", "tiny.yaml").stdout
     assert "all 24 trials are stored" in done.run()
     assert done.table == before
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [('"title": "Tiny"', '"title": "Big"'), ('"workers": 1', '"workers": 9')]
+)
+def test_an_altered_run_json_is_written_again(done: Lab, old: str, new: str) -> None:
+    file = done.folder / "out/tiny/run.json"
+    before = file.read_text()
+    assert old in before
+    file.write_text(before.replace(old, new))
+    assert "altered" in done.hident("status", "tiny.yaml").stdout
+    assert "wrote out/tiny" in done.run()
+    assert old in file.read_text()
 
 
 def test_files_of_an_earlier_run_are_removed_and_others_are_not(done: Lab) -> None:
@@ -278,12 +319,15 @@ def test_lines_in_a_log_have_the_rate_and_the_time_left(
 
 def test_status(done: Lab) -> None:
     done.configure("other", trials=8)
-    lines = done.hident("status", "tiny.yaml", "other.yaml").stdout.splitlines()
-    assert [line.split(maxsplit=3) for line in lines[1:3]] == [
+    done.configure("third", trials=6, title="Another")
+    shutil.copytree(done.folder / "out/tiny", done.folder / "out/third")
+    lines = done.hident("status", "tiny.yaml", "other.yaml", "third.yaml").stdout.splitlines()
+    assert [line.split(maxsplit=3) for line in lines[1:4]] == [
         ["tiny", "24", "24", "up to date"],
         ["other", "24", "32", "none"],
+        ["third", "24", "24", "old"],
     ]
-    assert lines[3] == ".hident/trials.sqlite: 24 trials in all"
+    assert lines[4] == ".hident/trials.sqlite: 24 trials in all"
     assert "there is no configuration under configs/ here" in done.hident("status", code=2).stderr
 
 
@@ -355,6 +399,16 @@ def test_help_of_every_verb(verb: str) -> None:
     assert shown.output.startswith("Usage: ")
 
 
+def test_version() -> None:
+    shown = CliRunner().invoke(app, ["--version"])
+    assert (shown.exit_code, shown.output) == (0, f"hident {hident.__version__}\n")
+
+
+def test_help_has_a_short_name() -> None:
+    long, short = (CliRunner().invoke(app, ["run", name]) for name in ("--help", "-h"))
+    assert short.output == long.output
+
+
 def test_help_names_the_verbs_in_full_and_the_exit_codes(lab: Lab) -> None:
     shown = lab.hident("--help").stdout
     verbs = shown.split("Commands:\n")[1].split("\n\n")[0].splitlines()
@@ -368,7 +422,10 @@ def test_help_names_the_verbs_in_full_and_the_exit_codes(lab: Lab) -> None:
     [
         ((), "Usage: "),
         (("frobnicate",), "No such command 'frobnicate'"),
-        (("list", "unicorns"), "'unicorns' is not one of"),
+        (("list", "unicorns"), "'what': 'unicorns' cannot be listed (there are: estimators, systems, "),
+        (("list", "estimator"), "'estimator' cannot be listed; did you mean 'estimators'? (there are: "),
+        (("list", "configs", "none"), "error: none: no such file"),
+        (("run", "tiny.yaml", "--store", "tiny.yaml"), "error: tiny.yaml is not a folder"),
         (("run", "tiny.yaml", "--jobs", "0"), "Invalid value for '--jobs'"),
         (("run",), "Missing argument"),
         (("run", "tiny.yaml", "--seed", "-1"), "seed"),

@@ -115,8 +115,10 @@ def test_store_of_a_newer_format(filled: Lab) -> None:
 
 def test_store_folder_that_cannot_be_used(lab: Lab) -> None:
     (lab.folder / "file").touch()
+    assert lab.run("--store", "file", code=2) == (
+        "error: file is not a folder, as the trials store needs: --store names one\n"
+    )
     for folder, reason in (
-        ("file", "file exists"),
         ("file/inner", "not a directory"),
         ("/proc/x", "no such"),
     ):

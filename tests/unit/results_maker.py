@@ -25,8 +25,9 @@ cases:
 estimators:
   one: {{kind: kernel, kernel: window_unit, bandwidth: {{h0: 1, alpha: 1/5}}}}
   two: {{kind: kernel, kernel: gaussian, bandwidth: {{h0: 1, alpha: 1/5}}}}
+{estimators}
 metrics:
-  mise: {{kind: mise, interval: [-1, 1]}}
+  mise: {{kind: mise, interval: [-1, 1], estimators: [one, two]}}
 {rest}
 """
 PUBLISHED = """\
@@ -48,6 +49,7 @@ def made(
     *,
     rest: str = "",
     axes: str = "",
+    estimators: str = "",
     printed: str = "",
     reasons: str = "",
 ) -> Results:
@@ -60,14 +62,15 @@ def made(
     (paper / "reasons.yaml").write_text(reasons or "reasons: []\n")
     trials = np.size(next(iter(values.values()), [1.0, 1.0]))
     path = folder / "configs" / "some.yaml"
-    path.write_text(CONFIG.format(trials=trials, rest=rest, axes=axes))
+    path.write_text(CONFIG.format(trials=trials, rest=rest, axes=axes, estimators=estimators))
     plan = load(path)
     series = [
         Series(
             unit,
-            "mise",
+            label,
             np.array(values.get((unit.name, str(unit.labels["samples"])), np.ones(trials)), dtype=float),
         )
         for unit in plan.units
+        for label in unit.metric_labels
     ]
     return Results(plan, plan.experiment.seed, trials, tuple(series))

@@ -317,8 +317,7 @@ def refuse(name):
 
 def test_a_file_without_permission_is_a_difference(pair, monkeypatch):
     monkeypatch.setattr(Path, "read_bytes", refuse("table.csv"))
-    path = pair[0] / "x/table.csv"
-    assert differences(pair) == [f"x/table.csv: cannot be read: [Errno 13] Permission denied: '{path}'"]
+    assert differences(pair) == ["x/table.csv: cannot be read: permission denied"]
 
 
 def test_a_folder_without_permission_is_an_error(pair, monkeypatch):
@@ -452,3 +451,28 @@ def test_the_tolerance_is_relative_at_any_size(folders, value, change):
     put(folders[0], [["a", repr(value)]])
     put(folders[1], [["a", repr(value * (1 + change))]])
     assert len(compare(*folders).differences) == (change > 1e-6)
+
+
+def test_files_outside_of_results_are_differences_too(pair):
+    ours, reference = pair
+    (ours / "y").mkdir()
+    (ours / "y/crashes.txt").write_text("")
+    (ours / "notes.txt").write_text("mine")
+    (reference / "notes.txt").write_text("theirs")
+    (reference / "z").mkdir()
+    (reference / "z/table.md").write_text("")
+    assert differences(pair) == [
+        "notes.txt: line 1: 'mine', reference 'theirs'",
+        "y/crashes.txt: extra, the reference lacks it",
+        "z/table.md: missing",
+    ]
+
+
+@pytest.mark.parametrize(("header", "missing"), [("u,(5)", ["(4)"]), ("v,w", ["u", "(4)"])])
+def test_of_other_columns_nothing_else_is_said(pair, header, missing):
+    (pair[0] / "x/curves.csv").write_text(f"{header}\n7,7\n")
+    extra = [name for name in header.split(",") if name != "u"]
+    assert differences(pair) == [
+        *(f"x/curves.csv: column {name} is missing" for name in missing),
+        *(f"x/curves.csv: column {name} is extra" for name in extra),
+    ]

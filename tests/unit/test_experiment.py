@@ -253,6 +253,40 @@ class TestOptions:
             "'triangular', 'epanechnikov' or 'gaussian'; did you mean 'gaussian'? (got 'gausian')",
         ]
 
+    @pytest.mark.parametrize(
+        ("cases", "assignment", "said"),
+        [
+            ("{samples: [50, 60]}", "samples=70", "samples sets this key; use --set cases.samples=[70]"),
+            (
+                "{n: {a: {samples: 50}, b: {samples: 60, noise.std: 1}}}",
+                "samples = 70",
+                "n sets this key under every label",
+            ),
+            (
+                "{n: {a: {estimators.k.bandwidth: {h0: 1, alpha: 0.1}}}}",
+                "estimators.k.bandwidth.h0=3",
+                "n sets this key under every label",
+            ),
+        ],
+    )
+    def test_a_key_that_every_case_sets_cannot_be_set(self, refused, cases, assignment, said):
+        assert refused(with_(more=f"cases: {cases}"), assignment) == [f"--set {assignment}: cases.{said}"]
+
+    @pytest.mark.parametrize(
+        "assignment", ["samples=70", "noise.std=2", "estimators.k.bandwidth={h0: 2, alpha: 0.1}"]
+    )
+    def test_a_key_that_not_every_case_sets_can_be_set(self, write, assignment):
+        text = with_(
+            more="cases: {n: {a: {}, b: {samples: 60, noise.std: 1}}, estimators.k.bandwidth.h0: [1]}"
+        )
+        assert load(write(text)).units != load(write(text), [assignment]).units
+
+    @pytest.mark.parametrize("more", ["", "cases: {noise.nsr: [0.5], samples: [50]}\n"])
+    def test_the_name_of_an_axis_may_hold_dots(self, write, more):
+        text = with_(("noise: {kind: white, std: 0.1}", "noise: white"), more=more)
+        plan = load(write(text), ["cases.noise.nsr=[0.1, 0.2]"])
+        assert [setting(unit.data.noise[0], "nsr") for unit in plan.units[::2]] == [0.1, 0.2]
+
 
 CHANGEABLE = "it can: samples, dt, system, excitation, noise, streams, estimators, metrics"
 LABELLED = "as 'label: {key.path: value}'"
@@ -329,13 +363,10 @@ class TestMessages:
                     "cases.samples: must be a list of values, or labels with the values that each sets "
                     f"(got {got})",
                 )
-                for axis, got in [("5", "5"), ("[]", "[]"), ("null", "null")]
+                for axis, got in [("5", "5"), ("null", "null")]
             ),
-            (
-                "{samples: {}}",
-                "cases.samples: must be a list of values, or labels with the values that each sets "
-                "(got a mapping)",
-            ),
+            ("{samples: []}", "cases.samples: must hold at least one value (got [])"),
+            ("{samples: {}}", "cases.samples: must hold at least one value"),
             (
                 "{noise: [{kind: white}]}",
                 f"cases.noise: a list cannot hold mappings: give each a label, {LABELLED} (got [a mapping])",
@@ -389,9 +420,6 @@ class TestMessages:
                 [
                     "16: metrics.a: the metric 'error' needs the value b_7 of the system, which "
                     "'hammerstein' does not have (it has: linear, nonlinearity, value a_1, value b_0)",
-                    "16: metrics.a: the metric 'error' needs the value b_7 of the estimate, which estimator "
-                    "'iv' (instrumental_variables) does not give (it gives: linear, value a_1, value c); "
-                    "'estimators:' under the metric limits it to some",
                 ],
             ),
             (
@@ -405,10 +433,13 @@ class TestMessages:
             (
                 ("estimators: [k]", "estimators: [kk]"),
                 [
-                    "12: estimators.k: no metric scores this estimator",
                     "15: metrics.mise.estimators[0]: there is no estimator 'kk'; did you mean 'k'? "
                     "(there are: k, iv)",
                 ],
+            ),
+            (
+                ("mise: {kind: mise, interval: [-1, 1], estimators: [k]}", ""),
+                ["12: estimators.k: no metric scores this estimator"],
             ),
             (
                 ("samples: 50", "samples: 2"),
@@ -441,7 +472,11 @@ class TestMessages:
                 ["11: estimators: the name 'i.v' must not be empty or hold a dot"],
             ),
             (
-                ("samples: 50", "samples: 50\ntables: {a/b: {kind: grid, title: a, rows: a, columns: []}}"),
+                (
+                    "samples: 50",
+                    "samples: 50\n"
+                    "tables: {a/b: {kind: grid, title: a, rows: a, columns: [{estimator: k, metric: mise}]}}",
+                ),
                 ["11: tables: the name 'a/b' must consist of letters, digits, - and _"],
             ),
         ],
@@ -461,7 +496,13 @@ class TestMessages:
             more="""\
 cases: {samples: [50, 60]}
 tables:
-  t: {kind: grid, title: T, rows: sample, columns: [{estimator: kk, metric: a}]}
+  t:
+    kind: grid
+    title: T
+    rows: sample
+    columns:
+      - {estimator: k, metric: mise}
+      - {estimator: kk, metric: a}
 figures:
   f: {kind: realisation, at: [{samples: 70}], estimators: [k], interval: [-1, 1]}
 published:
@@ -472,20 +513,20 @@ published:
 """
         )
         assert refused(text) == [
-            "a.yaml:19: tables.t.rows: there is no axis 'sample'; did you mean 'samples'? "
+            "a.yaml:22: tables.t.rows: there is no axis 'sample'; did you mean 'samples'? "
             "(there are: samples)",
-            "a.yaml:19: tables.t.columns: there is no estimator 'kk'; did you mean 'k'? (there are: k, iv)",
-            "a.yaml:19: tables.t.columns: there is no metric 'a' (there are: mise, a a_1)",
-            "a.yaml:21: figures.f.at: there is no label of samples '70' (there are: 50, 60)",
-            "a.yaml:22: published: needs 'paper', the folder under experiments/ with the numbers",
-            "a.yaml:25: published.cells[0].estimator: there is no estimator 'ik'; did you mean 'k'? "
+            "a.yaml:25: tables.t.columns[1].estimator: there is no estimator 'kk'; did you mean 'k'? "
             "(there are: k, iv)",
-            "a.yaml:25: published.cells[0].metric: there is no metric 'mis'; did you mean 'mise'? "
+            "a.yaml:25: tables.t.columns[1].metric: there is no metric 'a' (there are: mise, a a_1)",
+            "a.yaml:27: figures.f.at[0].samples: there is no label of samples '70' (there are: 50, 60)",
+            "a.yaml:28: published: needs 'paper', the folder under experiments/ with the numbers",
+            "a.yaml:31: published.cells[0].estimator: there is no estimator 'ik'; did you mean 'k'? "
+            "(there are: k, iv)",
+            "a.yaml:31: published.cells[0].metric: there is no metric 'mis'; did you mean 'mise'? "
             "(there are: mise, a a_1)",
-            "a.yaml:25: published.cells[0].at: there is no axis 'x' (there are: samples)",
-            "a.yaml:25: published.cells[0].at.x: there is no label '1' (there is none)",
-            "a.yaml:25: published.cells[0].row: there is no axis 'n' (there are: samples)",
-            "a.yaml:26: published.cells[1].at.samples: there is no label '61' (there are: 50, 60)",
+            "a.yaml:31: published.cells[0].at: there is no axis 'x' (there are: samples)",
+            "a.yaml:31: published.cells[0].row: there is no axis 'n' (there are: samples)",
+            "a.yaml:32: published.cells[1].at.samples: there is no label '61' (there are: 50, 60)",
         ]
 
     @pytest.mark.parametrize("runs", ["0", "-3", "1.5", "true", "unknwn", "[1]"])

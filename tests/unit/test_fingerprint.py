@@ -130,3 +130,32 @@ def test_libraries_are_those_of_the_arithmetic() -> None:
 
     assert libraries()["numpy"] == np.__version__
     assert set(libraries()) == {"numpy", "scipy", "finufft"}
+
+
+def test_modules_beside_a_plugin_count_and_libraries_below_it_do_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    library = tmp_path / ".venv/lib/site-packages"
+    library.mkdir(parents=True)
+    (tmp_path / "fp_parts").mkdir()
+    for folder in (tmp_path, library):
+        monkeypatch.syspath_prepend(folder)
+    files = [tmp_path / "fp_helper.py", tmp_path / "fp_parts/inner.py", library / "fp_library.py"]
+    for file in files:
+        file.write_text("VALUE = 1\n")
+    plugin = tmp_path / "fp_alone.py"
+    plugin.write_text("import fp_library\nfrom fp_helper import VALUE\nimport fp_parts.inner\n")
+    before = set(sys.modules)
+    plugins.load([plugin])
+    new = set(sys.modules) - before
+    (name,) = (name for name in new if "fp_alone" in name)
+    hashes = [code([name])]
+    for file in files:
+        file.write_text("VALUE = 2\n")
+        _read_again()
+        hashes.append(code([name]))
+    for module_name in new:
+        del sys.modules[module_name]
+    _read_again()
+    assert len(set(hashes[:3])) == 3
+    assert hashes[3] == hashes[2]

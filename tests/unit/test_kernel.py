@@ -230,7 +230,7 @@ def test_spec_fits_with_the_bandwidth_of_the_record():
         ),
         ("empty", "skip", "must be 'nearest', 'zero', 'mean' or 'fail'"),
         ("bandwidth", {"h0": 0, "alpha": 0.2}, "must be greater than 0"),
-        ("bandwidth", {"h0": 1, "alpha": 0}, "must be greater than 0"),
+        ("bandwidth", {"h0": 1, "alpha": -0.1}, "must be greater than or equal to 0"),
         ("bandwidth", {"h0": 1, "alpha": 1}, "must be less than 1"),
     ],
 )
@@ -239,3 +239,7 @@ def test_wrong_fields(field, value, message):
     with pytest.raises(ValidationError) as error:
         KernelEstimator.model_validate({**good, field: value})
     assert message in error.value.errors()[0]["msg"]
+
+
+def test_an_exponent_of_zero_keeps_the_bandwidth():
+    assert Bandwidth(h0=0.3, alpha=0.0).width(10**6) == 0.3

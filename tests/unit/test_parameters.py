@@ -10,6 +10,7 @@ from hident.engine.experiment import load
 from hident.engine.results import Results, Series
 from hident.errors import ConfigError
 from hident.ledger.verdicts import judge
+from hident.reports.output import check
 from hident.reports.style import style
 
 CONFIG = """\
@@ -18,7 +19,10 @@ title: t
 paper: p
 trials: 3
 samples: 50
-system: {kind: hammerstein, nonlinearity: {kind: polynomial, coefficients: [0, 2]}, linear: {kind: fir, b: [0, 1]}}
+system:
+  kind: hammerstein
+  nonlinearity: {kind: polynomial, coefficients: [0, 2]}
+  linear: {kind: fir, b: [0, 1]}
 excitation: {kind: iid, distribution: gaussian, std: 1}
 noise: {kind: ar, a: [0.5], std: 1}
 cases: {noise.a: [[0.5]]}
@@ -37,8 +41,22 @@ published:
     - {table: T, row: r, quantity: std, estimator: one, metric: theta a_1, statistic: std}
     - {table: T, row: s, quantity: std, estimator: two, metric: theta a_1, statistic: std}
 tables:
-  t: {kind: parameters, title: P, metric: theta, of: [a_1], mean_only: [loss], estimators: [one, two], decimals: 2}
-  e: {kind: efficiency, title: E, metric: error, of: [a_1], estimators: [one], bound: bound, bound_metric: least}
+  t:
+    kind: parameters
+    title: P
+    metric: theta
+    of: [a_1]
+    mean_only: [loss]
+    estimators: [one, two]
+    decimals: 2
+  e:
+    kind: efficiency
+    title: E
+    metric: error
+    of: [a_1]
+    estimators: [one]
+    bound: bound
+    bound_metric: least
 figures:
   p: {kind: parameters, metric: theta, of: [a_1], estimators: [one, two]}
   g: {kind: gain, metric: theta, of: [a_1], reference: one, estimator: two, y_label: ratio}
@@ -117,8 +135,10 @@ def test_the_gain_figure_shows_both_ratios(make, draw):
     assert axes.get_ylabel() == "ratio"
 
 
-def test_an_efficiency_figure_needs_its_table(make, draw):
-    with pytest.raises(ConfigError, match="the table 't' must be of kind efficiency"):
-        draw(make("t"), "e")
+def test_an_efficiency_figure_needs_its_table(make):
+    with pytest.raises(
+        ConfigError, match=r"figures.e.table: the table 't' must be of kind efficiency, not param"
+    ):
+        check(make("t").plan)
     with pytest.raises(ConfigError, match=r"figures.e.table: there is no table 'nothing'"):
         make("nothing")

@@ -4,8 +4,17 @@ from pathlib import Path
 
 import pytest
 
+from hident.engine.experiment import PublishedCells
 from hident.errors import ConfigError
-from hident.ledger.published import Printed, Reason, read_published, read_reasons
+from hident.ledger.published import (
+    Printed,
+    Reason,
+    check_published,
+    printed_beside,
+    read_published,
+    read_reasons,
+)
+from tests.unit.results_maker import made
 
 HEADER = "table,row,quantity,printed,note\n"
 
@@ -31,7 +40,8 @@ def test_printed_digits_are_kept(tmp_path):
         (HEADER + "T,r,q,abc,\n", r":2: 'abc' is not a number"),
         (HEADER + "T,r,q,nan,\n", r":2: 'nan' is not a number"),
         (HEADER + "T,r,q,1,\nT,r,q,2,\n", r":3: T / r / q stands twice"),
-        (HEADER + "T,r,q,1,,,\n", r"cannot be read"),
+        (HEADER + "T,r,q,1,,,\n", r":2: has 7 cells, not 5$"),
+        (HEADER + "\nT,r,q\n", r":3: has 3 cells, not 5$"),
     ],
 )
 def test_a_faulty_ledger_is_named(tmp_path, text, message):
@@ -40,7 +50,7 @@ def test_a_faulty_ledger_is_named(tmp_path, text, message):
 
 
 def test_a_missing_ledger_is_named(tmp_path):
-    with pytest.raises(ConfigError, match=r"published\.csv: cannot be read"):
+    with pytest.raises(ConfigError, match=r"published\.csv: no such file$"):
         read_published(tmp_path)
 
 
@@ -67,3 +77,49 @@ def test_a_faulty_reason_is_named_with_its_line(tmp_path):
     paper = written(tmp_path, "reasons:\n- reason: x\n  colour: red\n", "reasons.yaml")
     with pytest.raises(ConfigError, match=r"reasons.yaml:3: reasons\[0\].colour: unknown key"):
         read_reasons(paper)
+
+
+@pytest.mark.parametrize(
+    ("row", "labels", "key"),
+    [
+        ("N={samples}", {"samples": 50}, "N=50"),
+        ("r={noise.nsr}, {x}", {"noise.nsr": 0.1, "x": "{noise.nsr}"}, "r=0.1, {noise.nsr}"),
+        ("N={", {"samples": 50}, "N={"),
+    ],
+)
+def test_only_axes_in_braces_are_replaced(row, labels, key):
+    cell = PublishedCells(table="T", row=row, quantity="q", estimator="k", metric="m")
+    printed = Printed("T", key, "q", "1", "")
+    assert printed_beside(cell, labels, {printed.key: printed}) is printed
+    with pytest.raises(ConfigError, match=r"^published.csv has no number for T / .* / q$"):
+        printed_beside(cell, labels, {})
+
+
+def test_cells_are_checked_against_the_printed_numbers(tmp_path):
+    cells = """\
+published:
+  paper_trials: 1
+  cells:
+    - {table: T, row: "N={samples}", quantity: error, estimator: one, metric: mise}
+    - {table: T, row: "N={", quantity: error, estimator: one, metric: mise}
+    - {table: T, row: "{width}", quantity: error, estimator: two, metric: mise}
+    - {table: T, row: "N={samples}", quantity: error, estimator: two, metric: "a a_1"}
+    - {table: T, row: "N={samples}", quantity: error, estimator: one, metric: mise, at: {samples: 10}}
+"""
+    axes = "  width: {a: {estimators.one.bandwidth.h0: 1}}"
+    metric = "  a: {kind: error, of: [a_1], estimators: [three]}\n"
+    three = "  three: {kind: instrumental_variables, order: 1, instrument: identity}"
+    printed = "T,N=10,error,1,\nT,N=100,error,1,\n"
+    plan = made(tmp_path, {}, rest=metric + cells, axes=axes, estimators=three, printed=printed).plan
+    with pytest.raises(ConfigError) as caught:
+        check_published(plan)
+    lines = str(caught.value).replace(f"{plan.path}:", "").splitlines()
+    assert [line.partition(": ")[2] for line in lines] == [
+        "published.cells[0]: published.csv has no number for T / N=1000 / error; "
+        "did you mean 'T / N=100 / error'?",
+        "published.cells[1]: published.csv has no number for T / N={ / error; "
+        "did you mean 'T / N=10 / error'?",
+        "published.cells[2]: the axis 'width' does not touch the estimator 'two'",
+        "published.cells[3]: no estimate of 'two' has the metric 'a a_1' at these labels",
+    ]
+    assert len({line.partition(":")[0] for line in lines}) == 4

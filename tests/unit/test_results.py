@@ -91,3 +91,9 @@ def test_series_are_selected_by_estimator_metric_and_labels(lab: Lab) -> None:
     assert list(results.select(metric="b")) == []
     assert results.labels("samples") == (50, 80)
     assert results.labels("other") == ()
+
+
+def test_statistics_of_huge_values_warn_of_nothing(unit: Unit) -> None:
+    series = Series(unit, "a", np.array([1e308, -1e308, 1e308]))
+    assert series.statistics["std"] == math.inf
+    assert not math.isfinite(series.standard_error("std"))

@@ -279,6 +279,13 @@ def test_the_register_refuses_a_taken_name_and_an_unknown_family():
         component("estimater", "a")  # type: ignore[arg-type]
 
 
+def test_a_component_does_not_inherit_its_summary():
+    class Plain(Component):
+        pass
+
+    assert Plain.summary() == ""
+
+
 def test_the_register_is_sorted():
     assert list(components("nonlinearity")) == ["knot", "line"]
     assert components("basis") == {}
@@ -327,10 +334,10 @@ def test_fields_in_words():
         "number": ["whole number", "required", "How many.\n\nIn all."],
         "colour": ["red | green", "red", "The colour."],
         "on": ["true or false", "false", "Whether it is on."],
-        "inner": ["mapping", "mapping", "What it holds."],
+        "inner": ["mapping", "mapping", "What it holds. What is inside."],
         "inner.width": ["number > 0", "1.0", "Width, in metres."],
         "inner.pair": ["[number, number]", "[0.0, 1.0]", ""],
-        "several": ["list of mapping", "[]", "More of them."],
+        "several": ["list of mapping", "[]", "More of them. What is inside."],
         "several[].width": ["number > 0", "1.0", "Width, in metres."],
         "several[].pair": ["[number, number]", "[0.0, 1.0]", ""],
         "either": ["mapping or none", "none", "One of three."],

@@ -136,3 +136,9 @@ def test_full_disk_under_the_lock_is_told_by_its_number_and_not_by_its_words(
         fail(errno.ENOSPC)
     with pytest.raises(StoreError, match=r"permission denied.*: its folder must be writable"):
         fail(errno.EACCES)
+
+
+def test_a_file_is_no_folder(tmp_path):
+    (tmp_path / "a.yaml").touch()
+    with pytest.raises(StoreError, match=r"a.yaml is not a folder, as the trials store needs: --store names"):
+        Store(tmp_path / "a.yaml")

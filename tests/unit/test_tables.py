@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hident.ledger.verdicts import judge
-from hident.reports.base import Table
+from hident.reports.base import Table, TableSpec
 from hident.reports.tables import written
 from tests.unit.results_maker import PUBLISHED, made
 
@@ -154,4 +154,21 @@ def test_markdown_is_aligned_and_bars_are_escaped():
         "| b     |   -10 |",
         "",
         "a note",
+    ]
+
+
+@pytest.mark.parametrize("kind", ["distance", "joint_distance"])
+def test_a_distance_needs_its_printed_numbers(tmp_path, kind):
+    plan = made(
+        tmp_path, {}, rest=DISTANCE.replace("KIND", kind), printed=BOTH.replace("N=100,", "N=99,")
+    ).plan
+    spec = plan.experiment.tables["t"]
+    assert isinstance(spec, TableSpec)
+    assert list(spec.misfits(plan)) == [
+        (("cells", i), f"published.csv has no number for T / N=100 / {q}; did you mean 'T / N=1000 / {q}'?")
+        for i, q in enumerate(("error", "other"))
+    ]
+    homeless = replace(plan, experiment=plan.experiment.model_copy(update={"paper": None}))
+    assert list(spec.misfits(homeless)) == [
+        ("cells", "needs 'paper', the folder under experiments/ with the numbers")
     ]

@@ -50,6 +50,8 @@ class Witness(EstimatorSpec):
                 raise ValueError("not a result")
             case "exit":
                 raise SystemExit(1)
+            case "u" | "y":
+                getattr(record, self.raises)[0] = 0.0
         self.seen.append((record, rng.random()))
         return Estimate(values={"a_1": self.gain})
 
@@ -162,7 +164,13 @@ def test_a_failed_estimate_is_a_result(lab: Lab, raises: str, why: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("raises", "why"), [("crash", "ValueError: not a result"), ("exit", "SystemExit: 1")]
+    ("raises", "why"),
+    [
+        ("crash", "ValueError: not a result"),
+        ("exit", "SystemExit: 1"),
+        ("u", "ValueError: assignment destination is read-only"),
+        ("y", "ValueError: assignment destination is read-only"),
+    ],
 )
 def test_a_crash_is_no_result_and_ends_no_other(lab: Lab, raises: str, why: str) -> None:
     crashed, fine = _outcomes(_plan(lab), Job(Witness(raises=raises), _A), Job(Witness(), _A))

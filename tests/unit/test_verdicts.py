@@ -76,7 +76,7 @@ def test_a_reason_is_given_where_one_is_owed(tmp_path):
 
 def test_a_cell_without_a_printed_number_is_an_error(tmp_path):
     results = made(tmp_path, {}, rest=PUBLISHED.format(runs=1, statistic="mean"), printed="T,N=10,error,1,\n")
-    with pytest.raises(ConfigError, match=r"published.csv has no number for T / N=100 / error, which"):
+    with pytest.raises(ConfigError, match=r"published.csv has no number for T / N=100 / error; did"):
         judge(results)
 
 

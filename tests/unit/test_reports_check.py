@@ -1,0 +1,102 @@
+"""Tables and figures that cannot show a plan are refused before it runs."""
+
+import pytest
+
+from hident.errors import ConfigError
+from hident.reports.output import check, markdown, write
+from tests.unit.results_maker import made
+
+LABELLED = "  size:\n    small: {noise: {kind: white, std: 1}}\n    large: {noise: {kind: white, std: 2}}\n"
+
+
+def curve(**fields):
+    return _spec("figures", {"kind": "curve", "metric": "mise", "x_label": "N", "y_label": "e", **fields})
+
+
+def rate(**fields):
+    return _spec("tables", {"kind": "rate", "title": "R", "metric": "mise", "estimators": ["one"], **fields})
+
+
+def _spec(family, fields):
+    return f"{family}:\n  f: {{{', '.join(f'{key}: {value}' for key, value in fields.items())}}}\n"
+
+
+LINEAR = "  linear: {kind: least_squares, order: 1}\n"
+ONLY_ONE = (
+    "  only: {kind: mise, interval: [-1, 1], estimators: [one]}\n"
+    "  a: {kind: value, of: [c], estimators: [linear]}\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("rest", "axes", "message"),
+    [
+        (
+            curve(x="size"),
+            LABELLED,
+            "figures.f.x: the labels of the axis 'size' must be numbers, not small, large",
+        ),
+        (rate(axis="size"), LABELLED, "tables.f.axis: the labels of the axis 'size' must be numbers"),
+        (
+            curve(x="samples", panels="[[two]]", metric="only"),
+            "",
+            r"figures.f.panels\[0\]\[0\]: the metric 'only' does not score the estimator 'two'",
+        ),
+        (
+            _spec(
+                "tables",
+                {
+                    "kind": "grid",
+                    "title": "G",
+                    "rows": "samples",
+                    "columns": "[{estimator: two, metric: only}]",
+                },
+            ),
+            "",
+            r"tables.f.columns\[0\].metric: the metric 'only' does not score the estimator 'two'",
+        ),
+        (
+            _spec("figures", {"kind": "realisation", "estimators": "[linear]", "interval": "[-1, 1]"}),
+            "",
+            r"figures.f.estimators\[0\]: the estimator 'linear' does not give a nonlinearity",
+        ),
+        (
+            _spec("figures", {"kind": "realisation", "estimators": "[one]", "interval": "[1, -1]"}),
+            "",
+            r"figures.f.interval: must be \[low, high\] with low < high",
+        ),
+    ],
+)
+def test_a_misfit_is_named(tmp_path, rest, axes, message):
+    extra = ONLY_ONE + rest
+    results = made(tmp_path, {}, rest=extra, axes=axes, estimators=LINEAR)
+    with pytest.raises(ConfigError, match=message):
+        check(results.plan)
+
+
+@pytest.mark.parametrize(
+    "rest",
+    [
+        _spec("tables", {"kind": "grid", "title": "G", "rows": "samples", "columns": "[]"}),
+        rate(axis="samples", estimators="[]"),
+        curve(x="samples", panels="[[]]"),
+        _spec("figures", {"kind": "realisation", "estimators": "[]", "interval": "[-1, 1]"}),
+        _spec("figures", {"kind": "realisation", "estimators": "[one]", "interval": "[-1, 1]", "at": "[]"}),
+    ],
+)
+def test_empty_lists_are_refused(tmp_path, rest):
+    with pytest.raises(ConfigError, match="at least"):
+        made(tmp_path, {}, rest=rest)
+
+
+def test_a_label_that_is_no_mathematics_is_named(tmp_path):
+    results = made(tmp_path, {}, rest=curve(x="samples", x_label="'$\\foo$'"))
+    with pytest.raises(ConfigError, match=r"figures.f: cannot be drawn \(.*\). All trials are kept"):
+        write(results, tmp_path / "out", {})
+    assert not (tmp_path / "out" / "run.json").exists()
+
+
+def test_without_tables_all_statistics_are_shown(tmp_path):
+    text = markdown(made(tmp_path, {("one", "10"): [1.0, 3.0]}), (), {})
+    assert "| samples | estimator | metric | trials | failed | mean |  std | median |" in text
+    assert "|      10 | one       | mise   |      2 |      0 | 2.00 | 1.41 |   2.00 |" in text
