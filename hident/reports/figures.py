@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 
 _MOST_TICKS = 7
+_MOST_ENTRIES = 4
 
 
 class Slope(Spec):
@@ -100,6 +101,11 @@ class Curve(FigureSpec):
             for name, curve in curves.items():
                 self._draw_curve(axes, name, curve, next(lines), beside)
             self._finish(axes, next(iter(curves.values())))
+            entries = axes.get_legend_handles_labels()
+            if len(panels) > 1 or len(entries[1]) <= _MOST_ENTRIES:
+                axes.legend()
+            else:
+                figure.legend(*entries, loc="outside upper center", ncols=3)
         for axes in grid.flat[len(panels) :]:
             axes.set_visible(False)
         for axes in grid[-1, :]:
@@ -113,7 +119,7 @@ class Curve(FigureSpec):
         curves: dict[str, list[Series]] = {}
         for name in names:
             for series in results.select(name, self.metric):
-                rest = [str(v) for axis, v in series.unit.labels.items() if axis != self.x]
+                rest = [f"{axis} = {v}" for axis, v in series.unit.labels.items() if axis != self.x]
                 curves.setdefault(", ".join([name, *rest]), []).append(series)
         return curves
 
@@ -172,7 +178,6 @@ class Curve(FigureSpec):
                 linewidth=1.0,
                 label=reference.label,
             )
-        axes.legend()
 
 
 @component("figure", "realisation")
