@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -80,6 +81,15 @@ Real = Annotated[
 ]
 Count = Annotated[int, BeforeValidator(_as_count)]
 Flag = Annotated[bool, Strict()]
+
+
+def _increasing(interval: tuple[float, float]) -> tuple[float, float]:
+    if not interval[0] < interval[1]:
+        raise ValueError("must be [low, high] with low < high")
+    return interval
+
+
+Interval = Annotated[tuple[Real, Real], AfterValidator(_increasing)]
 
 
 class Spec(BaseModel):

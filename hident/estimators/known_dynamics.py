@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from pydantic import field_validator
 
 from hident.config.spec import component
 from hident.estimators.base import EstimatorSpec
 from hident.records import Estimate, Record
-from hident.systems.base import Coefficients
+from hident.systems.base import Coefficients, Numerator
 from hident.systems.linear import TransferFunction
 
 
@@ -22,15 +21,8 @@ class KnownDynamics(EstimatorSpec):
 
     a: Coefficients = ()
     """Feedback a_1, ..., a_p: v_k = a_1 v_{k-1} + ... + b_0 w_k + ..."""
-    b: Coefficients = (1.0,)
+    b: Numerator = (1.0,)
     """Numerator b_0, b_1, ..."""
-
-    @field_validator("b")
-    @classmethod
-    def _check_b(cls, b: tuple[float, ...]) -> tuple[float, ...]:
-        if not any(b):
-            raise ValueError("must have a coefficient other than zero")
-        return b
 
     def provides(self) -> frozenset[str]:
         return frozenset({"linear", *(f"value {name}" for name in self._block().values())})

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import field_validator
+from pydantic import Field
 
-from hident.config.spec import Count, Real, component
+from hident.config.spec import Count, Interval, component
 from hident.metrics.base import MetricSpec
 from hident.records import Array, Characteristic, Estimate, Record, Truth
 
@@ -41,24 +41,10 @@ def _of(truth: Truth | None) -> tuple[Characteristic, tuple[float, ...]]:
 
 
 class _OnInterval(MetricSpec):
-    interval: tuple[Real, Real]
+    interval: Interval
     """The input range [low, high] that the error is taken over."""
-    points: Count = 4096
+    points: Annotated[Count, Field(ge=_NODES)] = 4096
     """Least number of quadrature nodes on the interval."""
-
-    @field_validator("interval")
-    @classmethod
-    def _increasing(cls, interval: tuple[float, float]) -> tuple[float, float]:
-        if not interval[0] < interval[1]:
-            raise ValueError("must be [low, high] with low < high")
-        return interval
-
-    @field_validator("points")
-    @classmethod
-    def _enough(cls, points: int) -> int:
-        if points < _NODES:
-            raise ValueError(f"must be at least {_NODES}")
-        return points
 
     def needs_of_truth(self) -> frozenset[str]:
         return _PARTS

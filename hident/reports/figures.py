@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from hident.config.spec import Count, Flag, Real, Spec, component
+from hident.config.spec import Count, Flag, Interval, Real, Spec, component
 from hident.engine.experiment import Label, Plan, Statistic
 from hident.engine.results import Results, Series
 from hident.engine.trial import Job, estimate, generate
@@ -192,9 +192,9 @@ class Realisation(FigureSpec):
     """Names of the estimators."""
     names: dict[str, str] = {}
     """Symbols of axes for the titles, e.g. {samples: N}."""
-    interval: tuple[Real, Real]
+    interval: Interval
     """Range of the abscissa."""
-    y_limits: tuple[Real, Real] | None = None
+    y_limits: Interval | None = None
     """Range of the ordinate; by the truth and the estimates by default."""
     x_label: str = "u"
     """Label of the abscissa."""
@@ -210,8 +210,6 @@ class Realisation(FigureSpec):
             yield ("estimators", i), "estimator", estimator
 
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        if not self.interval[0] < self.interval[1]:
-            yield "interval", "must be [low, high] with low < high"
         for i, estimator in enumerate(self.estimators):
             unit = next(unit for unit in plan.units if unit.name == estimator)
             if "nonlinearity" not in unit.estimator.provides():

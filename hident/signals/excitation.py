@@ -11,9 +11,9 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
-from hident.config.spec import Count, Flag, Of, Real, component
+from hident.config.spec import Count, Flag, Interval, Of, Real, component
 from hident.config.suggest import one_of
 from hident.records import Array
 from hident.signals.base import ExcitationSpec
@@ -47,14 +47,7 @@ _WHOLE = 1e-9
 _PERIODS_SEARCHED = 10_000
 
 
-def _increasing(pair: tuple[float, float]) -> tuple[float, float]:
-    if not pair[0] < pair[1]:
-        raise ValueError("must be [low, high] with low below high")
-    return pair
-
-
 Positive = Annotated[Real, Field(gt=0)]
-Interval = Annotated[tuple[Real, Real], AfterValidator(_increasing)]
 
 
 class _Random(ExcitationSpec):

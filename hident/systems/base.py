@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator
+from pydantic import AfterValidator, BeforeValidator
 
 from hident.config.spec import Component, Real
 from hident.records import Array, Truth
@@ -16,7 +16,14 @@ def _as_list(value: Any) -> Any:
     return value
 
 
+def _not_all_zero(b: tuple[float, ...]) -> tuple[float, ...]:
+    if not any(b):
+        raise ValueError("must have a coefficient other than zero")
+    return b
+
+
 Coefficients = Annotated[tuple[Real, ...], BeforeValidator(_as_list)]
+Numerator = Annotated[Coefficients, AfterValidator(_not_all_zero)]
 
 
 class NonlinearitySpec(Component):

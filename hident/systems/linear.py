@@ -19,7 +19,7 @@ from pydantic import PlainValidator, TypeAdapter, WithJsonSchema, field_validato
 
 from hident.config.spec import Component, Real, component
 from hident.records import Array
-from hident.systems.base import Coefficients
+from hident.systems.base import Coefficients, Numerator
 
 _NEGLIGIBLE = 1e-16
 # A simple pole of this modulus is forgotten to 1e-16 after 3.7 million samples.
@@ -210,15 +210,8 @@ def _unstable_poles(block: TransferFunction) -> str:
 
 
 class _WithNumerator(LinearSpec):
-    b: Coefficients
+    b: Numerator
     """Numerator b_0, b_1, ...; leading zeros are a delay."""
-
-    @field_validator("b")
-    @classmethod
-    def _check_b(cls, b: tuple[float, ...]) -> tuple[float, ...]:
-        if not any(b):
-            raise ValueError("must have a coefficient other than zero")
-        return b
 
 
 @component("linear", "fir")

@@ -192,7 +192,7 @@ def test_prbs_messages():
     assert refused(Prbs, order=21) == "must be less than or equal to 20"
     assert refused(Prbs, order=5, clock=0) == "must be greater than or equal to 1"
     assert refused(Prbs, order=5, clock=1.5) == "must be a whole number"
-    assert refused(Prbs, order=5, levels=[1, -1]) == "must be [low, high] with low below high"
+    assert refused(Prbs, order=5, levels=[1, -1]) == "must be [low, high] with low < high"
 
 
 # --- multistep
@@ -233,7 +233,7 @@ def test_multistep_messages():
     message = "a uniform distribution takes no std"
     assert refused(Multistep, **uniform, limits=[0, 1], std=1) == message
     assert refused(Multistep, std=1, switching_time=0) == "must be greater than 0"
-    message = "must be [low, high] with low below high"
+    message = "must be [low, high] with low < high"
     assert refused(Multistep, std=1, switching_time=1, limits=[2, 2]) == message
 
 

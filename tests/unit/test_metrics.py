@@ -132,7 +132,7 @@ def test_leaving_out_the_square_of_eq_20_gives_the_printed_401():
     ("make", "message"),
     [
         (lambda: IntegratedSquaredError(interval=(1, 1)), r"must be \[low, high\] with low < high"),
-        (lambda: IntegratedSquaredError(interval=PI2, points=7), "must be at least 8"),
+        (lambda: IntegratedSquaredError(interval=PI2, points=7), "must be greater than or equal to 8"),
         (lambda: Error(of=()), r"must name at least one value, e.g. \[a_1\]"),
     ],
 )
