@@ -20,7 +20,7 @@ from hident.engine.fingerprint import fingerprint, libraries
 from hident.engine.results import Results, Series
 from hident.engine.store import Store, Trial, Writer
 from hident.engine.trial import Data, Job, Outcome, digest, run_trials
-from hident.errors import TrialsCrashed
+from hident.errors import StoreError, TrialsCrashed
 
 _CHUNK_SECONDS = 0.25
 _POLL_SECONDS = 0.1
@@ -67,13 +67,20 @@ class Crash:
 
 @dataclass
 class _Case:
-    """The units that share one set of data, and the trials that each of them misses."""
+    """The units that share one set of data, and the trials of each that are stored."""
 
     data: Data
-    units: list[int]
-    wanted: dict[int, list[int]] = field(default_factory=dict)
+    units: list[int] = field(default_factory=list)
+    found: list[set[int]] = field(default_factory=list)
     seconds: float = 0.0
     """Measured seconds for one trial."""
+
+    def wanted(self, trials: int) -> Iterator[tuple[int, list[int]]]:
+        """Each trial that some unit misses, with the places of those units."""
+        for trial in range(trials):
+            missing = [place for place, found in enumerate(self.found) if trial not in found]
+            if missing:
+                yield trial, missing
 
 
 def unit_key(unit: Unit, seed: int) -> str:
@@ -135,12 +142,12 @@ def run(
     """
     progress = progress or Silent()
     keys = [unit_key(unit, seed) for unit in plan.units]
-    found = {key: {t.trial for t in done} for key, done in writer.read(keys, trials).items()}
-    cases = _cases(plan.units, [found[key] for key in keys], trials)
+    found = {key: {t.trial for t in writer.trials(key, trials)} for key in keys}
+    cases = _cases(plan.units, [found[key] for key in keys])
     done = sum(len(found[key]) for key in keys)
     progress.start(len(keys) * trials, done)
     try:
-        _compute(plan, keys, cases, writer, executor, workers, seed, keep_going, progress)
+        _compute(plan, keys, cases, trials, writer, executor, workers, seed, keep_going, progress)
     except BrokenExecutor:
         raise TrialsCrashed(
             "a worker process ended abruptly: it was killed, perhaps for want of memory, or an estimator "
@@ -150,9 +157,13 @@ def run(
         progress.finish()
     series: list[Series] = []
     for unit, key in zip(plan.units, keys, strict=True):
-        done_trials = writer.read([key], trials)[key]
-        failure = next((trial.failure for trial in done_trials if trial.failure), "")
-        columns = np.stack([trial.values for trial in done_trials], axis=1)
+        columns = np.full((len(unit.metric_labels), trials), np.nan)
+        failure, read = "", 0
+        for trial in writer.trials(key, trials):
+            columns[:, trial.trial] = trial.values
+            failure, read = failure or trial.failure, read + 1
+        if read < trials:
+            raise StoreError("the trials store was changed while the run was going: run again")
         series += [
             Series(unit, label, values, failure)
             for label, values in zip(unit.metric_labels, columns, strict=True)
@@ -160,22 +171,20 @@ def run(
     return Results(plan, seed, trials, tuple(series))
 
 
-def _cases(units: Sequence[Unit], found: Sequence[set[int]], trials: int) -> list[_Case]:
+def _cases(units: Sequence[Unit], found: Sequence[set[int]]) -> list[_Case]:
     cases: dict[int, _Case] = {}
     for index, unit in enumerate(units):
-        case = cases.setdefault(unit.data.key, _Case(unit.data, []))
-        position = len(case.units)
+        case = cases.setdefault(unit.data.key, _Case(unit.data))
         case.units.append(index)
-        for trial in range(trials):
-            if trial not in found[index]:
-                case.wanted.setdefault(trial, []).append(position)
-    return [case for case in cases.values() if case.wanted]
+        case.found.append(found[index])
+    return list(cases.values())
 
 
 def _compute(
     plan: Plan,
     keys: Sequence[str],
     cases: Iterable[_Case],
+    trials: int,
     writer: Writer,
     executor: Executor,
     workers: int,
@@ -183,7 +192,7 @@ def _compute(
     keep_going: bool,
     progress: Progress,
 ) -> None:
-    chunks = _chunks(plan.units, cases)
+    chunks = _chunks(plan.units, cases, trials)
     # A worker finds its next chunk waiting while this process stores the last one.
     most = 2 * workers if workers > 1 else 1
     pending: dict[Future[tuple[list[Outcome], float]], tuple[_Case, int]] = {}
@@ -270,12 +279,12 @@ class CrashReport(TrialsCrashed):
 
 
 def _chunks(
-    units: Sequence[Unit], cases: Iterable[_Case]
+    units: Sequence[Unit], cases: Iterable[_Case], trials: int
 ) -> Iterator[tuple[_Case, list[Job], dict[int, list[int]]]]:
     """Chunks of about a quarter of a second, judged by the trials of the case that are finished."""
     for case in cases:
         jobs = [Job(units[i].estimator, tuple(units[i].metrics.values())) for i in case.units]
-        waiting = iter(case.wanted.items())
+        waiting = case.wanted(trials)
         while True:
             size = int(_CHUNK_SECONDS / case.seconds) if case.seconds else 1
             chunk = dict(itertools.islice(waiting, max(1, min(size, _LARGEST_CHUNK))))

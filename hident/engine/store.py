@@ -100,7 +100,7 @@ class Store:
         if not self.path.exists():
             return {key: [] for key in keys}
         with self._connected(create=False) as connection:
-            return _read(connection, keys, below)
+            return {key: list(_trials(connection, key, below)) for key in keys}
 
     def count(self) -> int:
         """How many trials the store holds."""
@@ -162,9 +162,9 @@ class Writer:
     def __init__(self, connection: sqlite3.Connection) -> None:
         self._connection = connection
 
-    def read(self, keys: Iterable[str], below: int) -> dict[str, list[Trial]]:
-        """As :meth:`Store.read`."""
-        return _read(self._connection, keys, below)
+    def trials(self, key: str, below: int) -> Iterator[Trial]:
+        """The stored trials of a key with numbers under ``below``, in order, one at a time."""
+        return _trials(self._connection, key, below)
 
     def add(self, units: Mapping[str, Any], trials: Iterable[tuple[str, Trial]]) -> None:
         """Write a chunk of trials, and what their units are, in one transaction."""
@@ -180,12 +180,11 @@ class Writer:
             self._connection.executemany("INSERT OR REPLACE INTO trials VALUES (?, ?, ?, ?, ?)", rows)
 
 
-def _read(connection: sqlite3.Connection, keys: Iterable[str], below: int) -> dict[str, list[Trial]]:
+def _trials(connection: sqlite3.Connection, key: str, below: int) -> Iterator[Trial]:
     query = "SELECT trial, data, failure, checksum FROM trials WHERE key = ? AND trial < ? ORDER BY trial"
-    return {
-        key: [trial for row in connection.execute(query, (key, below)) if (trial := _sound(key, *row))]
-        for key in keys
-    }
+    for row in connection.execute(query, (key, below)):
+        if trial := _sound(key, *row):
+            yield trial
 
 
 def _sound(key: str, number: Any, data: Any, failure: Any, checksum: Any) -> Trial | None:

@@ -81,7 +81,7 @@ def test_a_misfit_is_named(tmp_path, rest, axes, message):
     ],
 )
 def test_empty_lists_and_intervals_are_refused(tmp_path, rest):
-    with pytest.raises(ConfigError, match="at least|low < high"):
+    with pytest.raises(ConfigError, match=r"at least|low < high"):
         made(tmp_path, {}, rest=rest)
 
 

@@ -43,7 +43,7 @@ def test_only_trials_below_the_wanted_number_are_read_and_in_order(tmp_path: Pat
     with store.writing() as writer:
         for i in (4, 0, 2):
             writer.add({}, [("k", Trial(i, _VALUES))])
-        assert [t.trial for t in writer.read(["k"], 4)["k"]] == [0, 2]
+        assert [t.trial for t in writer.trials("k", 4)] == [0, 2]
     assert [t.trial for t in store.read(["k"], 5)["k"]] == [0, 2, 4]
 
 
@@ -66,7 +66,7 @@ def test_opening_a_store_changes_no_byte_of_it(tmp_path: Path) -> None:
     store = _filled(tmp_path)
     before = store.path.read_bytes(), store.path.stat().st_mtime_ns
     with store.writing() as writer:
-        writer.read(["k"], 10)
+        list(writer.trials("k", 10))
     store.read(["k"], 10)
     assert (store.path.read_bytes(), store.path.stat().st_mtime_ns) == before
 
