@@ -8,7 +8,7 @@ import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -111,7 +111,12 @@ def generate(data: Data, seed: int, trial: int) -> Record:
 
 def estimate(data: Data, job: Job, record: Record, seed: int, trial: int) -> Estimate:
     """The estimate of one job from a trial's record."""
-    return job.estimator.fit(record, data.streams.generator("estimator", seed, job.key, trial))
+    if job.estimator.draws():
+        rng = data.streams.generator("estimator", seed, job.key, trial)
+    else:
+        # An estimator that draws all the same must crash, not draw from a stream that is not its own.
+        rng = cast(np.random.Generator, None)
+    return job.estimator.fit(record, rng)
 
 
 def run_trials(

@@ -28,6 +28,10 @@ class EstimatorSpec(Component):
         """The shortest record that the method accepts."""
         return 1
 
+    def draws(self) -> bool:
+        """Whether ``fit`` draws from its stream; where it does not, the stream need not be seeded."""
+        return True
+
     def needs_of_truth(self) -> frozenset[str]:
         """The parts it needs of the truth, as a bound or a reference does; none by default."""
         return frozenset()

@@ -103,6 +103,9 @@ class InstrumentalVariables(EstimatorSpec):
     ma_order: Annotated[Count, Field(ge=0)] = 0
     """Order q of the moving average b_1, ..., b_q (b_0 = 1)."""
 
+    def draws(self) -> bool:
+        return False
+
     def provides(self) -> frozenset[str]:
         feedback = {f"value a_{i + 1}" for i in range(self.order)}
         numerator = {f"value b_{i + 1}" for i in range(self.ma_order)}

@@ -40,6 +40,9 @@ class LaggedSpec(EstimatorSpec):
     delay: Annotated[Count, Field(ge=0)] = 1
     """The first lag: y(t) depends on x(t-delay), ..., x(t-delay-lags+1)."""
 
+    def draws(self) -> bool:
+        return False
+
     def functions(self) -> tuple[NonlinearitySpec, ...]:
         """phi_1, ..., phi_m."""
         raise NotImplementedError

@@ -24,6 +24,9 @@ class KnownDynamics(EstimatorSpec):
     b: Numerator = (1.0,)
     """Numerator b_0, b_1, ..."""
 
+    def draws(self) -> bool:
+        return False
+
     def provides(self) -> frozenset[str]:
         return frozenset({"linear", *(f"value {name}" for name in self._block().values())})
 

@@ -90,6 +90,9 @@ class LeastSquares(EstimatorSpec):
     order: Annotated[Count, Field(ge=1)]
     """Order p of the autoregression."""
 
+    def draws(self) -> bool:
+        return False
+
     def provides(self) -> frozenset[str]:
         return frozenset({"linear", "value c", *(f"value a_{i + 1}" for i in range(self.order))})
 

@@ -134,6 +134,9 @@ class NonparametricSpec(EstimatorSpec):
     known_point: KnownPoint | None = None
     """A point where the characteristic is known: a constant is added so that the estimate agrees there."""
 
+    def draws(self) -> bool:
+        return self.prefilter is not None and self.prefilter.draws()
+
     def regression(self, samples: Record) -> Characteristic:
         """The estimated regression of the output on the input."""
         raise NotImplementedError
