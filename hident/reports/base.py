@@ -83,11 +83,8 @@ def not_numeric(plan: Plan, field: Field, axis: str, *, positive: bool, least: i
         yield field, f"the axis '{axis}' needs at least {least} labels"
 
 
-class TableSpec(Component):
-    """Base of all tables."""
-
-    title: str
-    """Title of the table."""
+class ReportSpec(Component):
+    """Base of all tables and figures."""
 
     def references(self) -> Iterator[Reference]:
         """The names of the configuration that it refers to."""
@@ -96,22 +93,21 @@ class TableSpec(Component):
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         """What cannot be shown of this plan, though every name is known."""
         yield from ()
+
+
+class TableSpec(ReportSpec):
+    """Base of all tables."""
+
+    title: str
+    """Title of the table."""
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         """The table of the results, with the printed numbers beside them where there are any."""
         raise NotImplementedError
 
 
-class FigureSpec(Component):
+class FigureSpec(ReportSpec):
     """Base of all figures."""
-
-    def references(self) -> Iterator[Reference]:
-        """The names of the configuration that it refers to."""
-        yield from ()
-
-    def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        """What cannot be shown of this plan, though every name is known."""
-        yield from ()
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         """The figure; :mod:`hident.reports.style` sets its look."""

@@ -24,7 +24,7 @@ from hident.engine.runner import unit_key
 from hident.engine.trial import digest
 from hident.errors import ConfigError, StoreError
 from hident.ledger.verdicts import Verdict, frame, judge
-from hident.reports.base import FigureSpec, Table, TableSpec
+from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec
 from hident.reports.style import style
 from hident.reports.tables import written
 
@@ -120,7 +120,7 @@ def check(plan: Plan) -> None:
         Problem((family, name, *((field,) if isinstance(field, str) else field)), message)
         for family, specs in (("tables", experiment.tables), ("figures", experiment.figures))
         for name, spec in specs.items()
-        if isinstance(spec, TableSpec | FigureSpec)
+        if isinstance(spec, ReportSpec)
         for field, message in spec.misfits(plan)
     ]
     if problems:
