@@ -126,7 +126,7 @@ def run_plans(
 def _run_plan(
     plan: Plan, place: Place, executor: Executor, workers: int, *, keep_going: bool, quiet: bool
 ) -> None:
-    from hident.engine.preflight import check_inputs
+    from hident.engine.preflight import check_records
     from hident.engine.runner import run
     from hident.progress import chosen
     from hident.reports.output import output_key, state, write
@@ -139,7 +139,7 @@ def _run_plan(
             # Asked again, as another run may have held the store until now.
             if state(folder, key) != "up to date":
                 start = time.perf_counter()
-                check_inputs(plan)
+                check_records(plan)
                 results = run(
                     plan,
                     writer,

@@ -49,8 +49,13 @@ class NothingToCompare(HidentError):
     exit_code = Exit.NOTHING
 
 
-class EstimationError(Exception):
-    """A singular or diverged estimate: a result, counted as failed, not a crash.
+class TrialFailed(Exception):
+    """What went wrong in a trial is a result: counted as failed, not a crash, with what happened."""
 
-    Estimators raise it with a message that says what happened.
-    """
+
+class SimulationError(TrialFailed):
+    """The simulation of the true system does not converge."""
+
+
+class EstimationError(TrialFailed):
+    """The estimate is singular or diverged."""

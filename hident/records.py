@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
+    from hident.systems.continuous import ContinuousTransferFunction
     from hident.systems.linear import TransferFunction
 
 Array = NDArray[np.float64]
@@ -21,12 +22,14 @@ Characteristic = Callable[[Array], Array]
 class Truth:
     """What only a simulation knows.
 
-    ``values`` are the true parameters by name (``a_1``, ``b_0``, ...). ``breakpoints`` are the points at
-    which the nonlinearity or its derivative jumps, in increasing order.
+    ``linear`` is the linear block in discrete time, ``continuous`` that in continuous time. ``values`` are
+    the true parameters by name (``a_1``, ``b_0``, ...). ``breakpoints`` are the points at which the
+    nonlinearity or its derivative jumps, in increasing order.
     """
 
     nonlinearity: Characteristic | None = None
     linear: TransferFunction | None = None
+    continuous: ContinuousTransferFunction | None = None
     values: Mapping[str, float] = field(default_factory=dict)
     breakpoints: tuple[float, ...] = ()
 
@@ -60,9 +63,14 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What an estimator returns; a part that it does not estimate is None or empty."""
+    """What an estimator returns; a part that it does not estimate is None or empty.
+
+    ``details`` holds what only a figure of one trial shows, such as a search or the history of an iteration.
+    """
 
     nonlinearity: Characteristic | None = None
     linear: TransferFunction | None = None
+    continuous: ContinuousTransferFunction | None = None
     values: Mapping[str, float] = field(default_factory=dict)
     diagnostics: Mapping[str, float] = field(default_factory=dict)
+    details: Mapping[str, Any] = field(default_factory=dict)

@@ -64,7 +64,7 @@ from hident.systems.base import SystemSpec
 class Square(SystemSpec):
     """A system that needs no library that is slow to import."""
 
-    def simulate(self, u):
+    def simulate(self, u, dt=1.0):
         return u**2
 
     def truth(self):

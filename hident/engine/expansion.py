@@ -162,6 +162,11 @@ def _validated(root: tuple[str, ...], data: Mapping[str, Any]) -> Any:
             return Data.model_validate({name: data[name] for name in DATA if name in data})
 
 
+def _missing(needs: frozenset[str], given: frozenset[str]) -> list[str]:
+    """The needs that are not given; "linear or continuous" is met by either."""
+    return sorted(need for need in needs if given.isdisjoint(need.split(" or ")))
+
+
 def _mismatches(unit: Unit) -> Iterator[Problem]:
     """What does not fit together in a unit, though each part is sound."""
     data = unit.data
@@ -169,6 +174,14 @@ def _mismatches(unit: Unit) -> Iterator[Problem]:
         data.excitation.check(data.samples, data.dt or 1.0)
     except (ValueError, ArithmeticError) as error:
         yield Problem(("excitation",), str(error))
+    try:
+        data.system.check(data.dt)
+    except ValueError as error:
+        yield Problem(("system",), str(error))
+    try:
+        unit.estimator.check(data.samples, data.dt)
+    except ValueError as error:
+        yield Problem(("estimators", unit.name), str(error))
     fewest = unit.estimator.fewest_samples()
     if data.samples < fewest:
         yield Problem(
@@ -176,21 +189,21 @@ def _mismatches(unit: Unit) -> Iterator[Problem]:
         )
         return
     true, estimated = data.system.provides(), unit.estimator.provides()
-    for missing in sorted(unit.estimator.needs_of_truth() - true):
+    for missing in _missing(unit.estimator.needs_of_truth(), true):
         yield Problem(
             ("estimators", unit.name),
             f"the estimator '{unit.estimator.kind}' needs the {missing} of the system, which "
             f"'{data.system.kind}' does not have (it has: {one_of(sorted(true))})",
         )
     for name, metric in unit.metrics.items():
-        unknown = metric.needs_of_truth() - true
-        for missing in sorted(unknown):
+        unknown = _missing(metric.needs_of_truth(), true)
+        for missing in unknown:
             yield Problem(
                 ("metrics", name),
                 f"the metric '{metric.kind}' needs the {missing} of the system, which "
                 f"'{data.system.kind}' does not have (it has: {one_of(sorted(true))})",
             )
-        for missing in sorted(metric.needs_of_estimate() - estimated - unknown):
+        for missing in sorted({*_missing(metric.needs_of_estimate(), estimated)} - {*unknown}):
             yield Problem(
                 ("metrics", name),
                 f"the metric '{metric.kind}' needs the {missing} of the estimate, which estimator "

@@ -1,4 +1,4 @@
-"""What can be seen to be hopeless before a trial runs: an input that cannot tell the parameters apart."""
+"""What can be seen to be hopeless before a trial runs, from the record of trial 0."""
 
 from __future__ import annotations
 
@@ -6,35 +6,39 @@ import numpy as np
 
 from hident.config.load import Problem
 from hident.engine.experiment import Plan
-from hident.engine.trial import generate_input
-from hident.errors import EstimationError
+from hident.engine.trial import generate
+from hident.errors import EstimationError, SimulationError
 from hident.estimators.base import EstimatorSpec
-from hident.records import Array
+from hident.records import Record
 
 
-def check_inputs(plan: Plan) -> None:
-    """Show the input of trial 0 of every case to the estimators that can judge an input.
+def check_records(plan: Plan) -> None:
+    """Show the record of trial 0 of every case to the estimators that can judge one.
 
     Raises
     ------
     ConfigError
-        With one line for each estimator that cannot work with its case's input.
+        With one line for each estimator that cannot work with its case's records.
     """
     problems = []
-    inputs: dict[int, Array] = {}
+    records: dict[int, Record | None] = {}
     for unit in plan.units:
-        if type(unit.estimator).check_input is EstimatorSpec.check_input:
+        if type(unit.estimator).check_record is EstimatorSpec.check_record:
             continue
         key = unit.data.key
-        if key not in inputs:
-            inputs[key] = generate_input(unit.data, plan.experiment.seed, 0)
         try:
             with np.errstate(all="ignore"):
-                unit.estimator.check_input(inputs[key])
+                if key not in records:
+                    # A simulation that fails is a failed trial of the run to come.
+                    records[key] = None
+                    records[key] = generate(unit.data, plan.experiment.seed, 0)
+                if (record := records[key]) is not None:
+                    unit.estimator.check_record(record)
+        except SimulationError:
+            continue
         except EstimationError as error:
             case = ", ".join(f"{axis} {label}" for axis, label in unit.labels.items())
             at = f" (at {case})" if case else ""
-            text = f"the input cannot tell the parameters apart{at}: {error}"
-            problems.append(Problem(("estimators", unit.name), text))
+            problems.append(Problem(("estimators", unit.name), f"{error}{at}"))
     if problems:
         raise plan.document.error(problems)

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from hident.config.spec import Count, Of, Real, Spec, canonical
-from hident.errors import EstimationError
+from hident.errors import EstimationError, SimulationError
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
 from hident.records import Array, Estimate, Record
@@ -99,7 +99,7 @@ def generate(data: Data, seed: int, trial: int) -> Record:
     """The record of one trial."""
     burn_in = data.system.burn_in()
     u = generate_input(data, seed, trial, burn_in)
-    y = data.system.simulate(u)[burn_in:]
+    y = data.system.simulate(u, 1.0 if data.dt is None else data.dt)[burn_in:]
     noise = data.streams.generator("noise", seed, data.key, trial)
     for spec in data.noise:
         y = spec.measure(y, noise)
@@ -139,6 +139,9 @@ def _run_trial(
 ) -> Iterator[Outcome]:
     try:
         record = generate(data, seed, trial)
+    except SimulationError as error:
+        yield from (_failed(index, jobs[index], trial, error) for index in indices)
+        return
     except _CRASHES as error:
         yield from (_crashed(index, trial, error) for index in indices)
         return
@@ -149,8 +152,7 @@ def _run_trial(
             values = [value for metric in job.metrics for value in _scored(metric, found, record)]
             yield Outcome(index, trial, np.array(values, dtype=float))
         except (EstimationError, np.linalg.LinAlgError) as error:
-            count = sum(len(metric.labels("")) for metric in job.metrics)
-            yield Outcome(index, trial, np.full(count, np.nan), failure=str(error) or "singular")
+            yield _failed(index, job, trial, error)
         except _CRASHES as error:
             yield _crashed(index, trial, error)
 
@@ -160,6 +162,11 @@ def _scored(metric: MetricSpec, found: Estimate, record: Record) -> Sequence[flo
     if len(values) != len(labels):
         raise ValueError(f"the metric '{metric.kind}' gives {len(values)} values for {len(labels)} labels")
     return values
+
+
+def _failed(index: int, job: Job, trial: int, error: Exception) -> Outcome:
+    count = sum(len(metric.labels("")) for metric in job.metrics)
+    return Outcome(index, trial, np.full(count, np.nan), failure=str(error) or "singular")
 
 
 def _crashed(index: int, trial: int, error: BaseException) -> Outcome:

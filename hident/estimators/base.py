@@ -14,6 +14,8 @@ from hident.records import Array, Estimate, Record
 class EstimatorSpec(Component):
     """Base of all estimators.
 
+    Of a continuous-time method, times are in the unit of ``dt``.
+
     ``fit`` raises :class:`hident.errors.EstimationError` when the estimate is singular or diverges.
     """
 
@@ -36,8 +38,11 @@ class EstimatorSpec(Component):
         """The parts it needs of the truth, as a bound or a reference does; none by default."""
         return frozenset()
 
-    def check_input(self, u: Array) -> None:
-        """Raise EstimationError if an input like ``u`` (N,) cannot tell the parameters apart."""
+    def check(self, n: int, dt: float | None) -> None:
+        """Raise ValueError if records of ``n`` samples every ``dt`` (None: discrete time) do not suit."""
+
+    def check_record(self, record: Record) -> None:
+        """Raise EstimationError if a record like this one, that of trial 0, is hopeless."""
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         """Estimate from a record; ``rng`` is the estimator's own stream."""

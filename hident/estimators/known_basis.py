@@ -85,9 +85,12 @@ class LaggedSpec(EstimatorSpec):
             )
         return regressors(self.basis_values(record.u), self.lags, self.delay), record.y[self.first :]
 
-    def check_input(self, u: Array) -> None:
-        phi = regressors(self.basis_values(u), self.lags, self.delay)
-        Regression.of(phi, self.lags, delay=self.delay)
+    def check_record(self, record: Record) -> None:
+        phi = regressors(self.basis_values(record.u), self.lags, self.delay)
+        try:
+            Regression.of(phi, self.lags, delay=self.delay)
+        except EstimationError as error:
+            raise EstimationError(f"the input cannot tell the parameters apart: {error}") from None
 
     def b_names(self) -> list[str]:
         """The names of the linear coefficients: b_i multiplies lag i."""

@@ -11,13 +11,13 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from hident.config.spec import Count, Flag, Interval, Of, Real, component
 from hident.config.suggest import one_of
 from hident.records import Array
 from hident.signals.base import ExcitationSpec
-from hident.systems.linear import LinearSpec
+from hident.systems.linear import DiscreteSpec, LinearSpec
 
 # Feedback stages of maximal-length shift registers (Alfke 1996, Xilinx XAPP 052).
 _TAPS: dict[int, tuple[int, ...]] = {
@@ -265,6 +265,12 @@ class Multisine(ExcitationSpec):
         return self.offset + wave[_times(n, burn_in) % self.period]
 
 
+def _discrete(linear: LinearSpec) -> LinearSpec:
+    if not isinstance(linear, DiscreteSpec):
+        raise ValueError(f"must be a discrete block, not {linear.kind}")
+    return linear
+
+
 @component("excitation", "filtered", source="Wang, Zhang, Ljung 2009, example 1")
 class Filtered(ExcitationSpec):
     """Another excitation after a linear block.
@@ -276,7 +282,7 @@ class Filtered(ExcitationSpec):
 
     excitation: Annotated[ExcitationSpec, Of("excitation")]
     """The excitation that drives the block."""
-    linear: Annotated[LinearSpec, Of("linear")]
+    linear: Annotated[DiscreteSpec, Of("linear"), AfterValidator(_discrete)]
     """The block: its output is applied to the system."""
 
     def check(self, n: int, dt: float) -> None:

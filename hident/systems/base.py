@@ -49,8 +49,17 @@ class SystemSpec(Component):
         """Samples before the record after which the start no longer matters."""
         return 0
 
-    def simulate(self, u: Array) -> Array:
-        """The noise-free response (N,) to ``u`` (N,), an array of its own."""
+    def check(self, dt: float | None) -> None:
+        """Raise ValueError if the system cannot work at sampling interval ``dt`` (None: discrete time)."""
+
+    def simulate(self, u: Array, dt: float = 1.0) -> Array:
+        """The noise-free response (N,) to ``u`` (N,), sampled every ``dt``, an array of its own.
+
+        Raises
+        ------
+        SimulationError
+            If the simulation does not converge; the trial then counts as failed.
+        """
         raise NotImplementedError
 
     def truth(self) -> Truth:
@@ -58,8 +67,12 @@ class SystemSpec(Component):
         raise NotImplementedError
 
     def provides(self) -> frozenset[str]:
-        """The parts that :meth:`truth` holds: ``nonlinearity``, ``linear``, ``value NAME``."""
+        """The parts of :meth:`truth`: ``nonlinearity``, ``linear``, ``continuous``, ``value NAME``."""
         truth = self.truth()
-        parts: dict[str, Any] = {"nonlinearity": truth.nonlinearity, "linear": truth.linear}
+        parts: dict[str, Any] = {
+            "nonlinearity": truth.nonlinearity,
+            "linear": truth.linear,
+            "continuous": truth.continuous,
+        }
         known = {name for name, part in parts.items() if part is not None}
         return frozenset(known | {f"value {name}" for name in truth.values})

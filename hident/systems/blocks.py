@@ -1,4 +1,4 @@
-"""The block-oriented systems: static nonlinearities and discrete linear blocks in series."""
+"""The block-oriented systems: static nonlinearities and linear blocks in series."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from pydantic import model_validator
 from hident.config.spec import Of, component
 from hident.records import Array, Truth
 from hident.systems.base import NonlinearitySpec, SystemSpec
-from hident.systems.linear import LinearSpec
+from hident.systems.continuous import ContinuousTransferFunction
+from hident.systems.linear import DiscreteSpec, LinearSpec
 
 
 class _OneLinearBlock(SystemSpec):
@@ -19,25 +20,30 @@ class _OneLinearBlock(SystemSpec):
     linear: Annotated[LinearSpec, Of("linear")]
     """The linear block."""
 
+    def check(self, dt: float | None) -> None:
+        self.linear.check(dt)
+
     def burn_in(self) -> int:
         return self.linear.burn_in()
 
     def truth(self) -> Truth:
         block = self.linear.transfer_function()
-        return Truth(
+        truth = Truth(
             nonlinearity=self.nonlinearity,
-            linear=block,
             values=block.values(),
             breakpoints=self.nonlinearity.break_points(),
         )
+        if isinstance(block, ContinuousTransferFunction):
+            return replace(truth, continuous=block)
+        return replace(truth, linear=block)
 
 
 @component("system", "hammerstein")
 class Hammerstein(_OneLinearBlock):
     """A static nonlinearity, then a linear block."""
 
-    def simulate(self, u: Array) -> Array:
-        return self.linear.simulate(self.nonlinearity(u))
+    def simulate(self, u: Array, dt: float = 1.0) -> Array:
+        return self.linear.simulate(self.nonlinearity(u), dt)
 
     def truth(self) -> Truth:
         """The parts of the system, the coefficients of a polynomial among the values.
@@ -55,8 +61,8 @@ class Hammerstein(_OneLinearBlock):
 class Wiener(_OneLinearBlock):
     """A linear block, then a static nonlinearity."""
 
-    def simulate(self, u: Array) -> Array:
-        return self.nonlinearity(self.linear.simulate(u))
+    def simulate(self, u: Array, dt: float = 1.0) -> Array:
+        return self.nonlinearity(self.linear.simulate(u, dt))
 
 
 def _start(initial: str | tuple[float, ...]) -> str:
@@ -76,6 +82,8 @@ class WienerHammerstein(SystemSpec):
 
     @model_validator(mode="after")
     def _check_starts(self) -> Self:
+        if not (isinstance(self.input_linear, DiscreteSpec) and isinstance(self.output_linear, DiscreteSpec)):
+            raise ValueError("both linear blocks must be discrete")
         first, second = self.input_linear.initial, self.output_linear.initial
         if (first == "stationary") != (second == "stationary"):
             raise ValueError(
@@ -88,8 +96,8 @@ class WienerHammerstein(SystemSpec):
     def burn_in(self) -> int:
         return self.input_linear.burn_in() + self.output_linear.burn_in()
 
-    def simulate(self, u: Array) -> Array:
-        return self.output_linear.simulate(self.nonlinearity(self.input_linear.simulate(u)))
+    def simulate(self, u: Array, dt: float = 1.0) -> Array:
+        return self.output_linear.simulate(self.nonlinearity(self.input_linear.simulate(u, dt)), dt)
 
     def truth(self) -> Truth:
         values = {

@@ -1,4 +1,4 @@
-"""Discrete linear blocks.
+"""What every linear block answers, and the discrete ones; the continuous one is in ``continuous.py``.
 
 Sign convention, as the papers write it (Mzyk 2009, A2):
 
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from pydantic import PlainValidator, TypeAdapter, WithJsonSchema, field_validato
 from hident.config.spec import Component, Real, component
 from hident.records import Array
 from hident.systems.base import Coefficients, Numerator
+
+if TYPE_CHECKING:
+    from hident.systems.continuous import ContinuousTransferFunction
 
 _NEGLIGIBLE = 1e-16
 # A simple pole of this modulus is forgotten to 1e-16 after 3.7 million samples.
@@ -147,6 +150,25 @@ def _as_initial(value: Any) -> Any:
 
 
 class LinearSpec(Component):
+    """Base of all linear blocks."""
+
+    def transfer_function(self) -> TransferFunction | ContinuousTransferFunction:
+        """The block as numbers."""
+        raise NotImplementedError
+
+    def check(self, dt: float | None) -> None:
+        """Raise ValueError if the block cannot work at sampling interval ``dt`` (None: discrete time)."""
+
+    def burn_in(self) -> int:
+        """Samples before the record after which the start no longer matters; 0 for a given start."""
+        return 0
+
+    def simulate(self, w: Array, dt: float) -> Array:
+        """The response v (N,) to ``w`` (N,), sampled every ``dt``, from its start."""
+        raise NotImplementedError
+
+
+class DiscreteSpec(LinearSpec):
     """Base of all discrete linear blocks."""
 
     initial: Annotated[
@@ -185,14 +207,13 @@ class LinearSpec(Component):
         return self
 
     def burn_in(self) -> int:
-        """Samples before the record after which the start no longer matters; 0 for a given start."""
         return self._memory if self.initial == "stationary" else 0
 
     @cached_property
     def _memory(self) -> int:
         return self.transfer_function().memory()
 
-    def simulate(self, w: Array) -> Array:
+    def simulate(self, w: Array, dt: float = 1.0) -> Array:
         """The response v (N,) to ``w`` (N,) from the given start, or from rest before a burn-in."""
         past = None if isinstance(self.initial, str) else np.array(self.initial)
         return self.transfer_function().filter(w, past)
@@ -209,7 +230,7 @@ def _unstable_poles(block: TransferFunction) -> str:
     )
 
 
-class _WithNumerator(LinearSpec):
+class _WithNumerator(DiscreteSpec):
     b: Numerator
     """Numerator b_0, b_1, ...; leading zeros are a delay."""
 
@@ -223,7 +244,7 @@ class Fir(_WithNumerator):
 
 
 @component("linear", "ar", source="Mzyk 2009, A2")
-class Ar(LinearSpec):
+class Ar(DiscreteSpec):
     """Autoregression: v_k = a_1 v_{k-1} + ... + a_p v_{k-p} + b_0 w_k."""
 
     a: Coefficients

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
 from hident.config.spec import Of, components
-from hident.systems.linear import Ar, Arma, Fir, LinearSpec, TransferFunction
+from hident.systems.linear import Ar, Arma, DiscreteSpec, Fir, TransferFunction
 
 BLOCKS = (
     Ar(a=(0.8,), initial="zero"),
@@ -20,10 +20,10 @@ BLOCKS = (
 )
 quick = settings(deadline=None, derandomize=True, max_examples=30)
 signals = st.lists(st.floats(-10, 10), min_size=1, max_size=60).map(np.array)
-linear: TypeAdapter[LinearSpec] = TypeAdapter(Annotated[LinearSpec, Of("linear")])
+linear: TypeAdapter[DiscreteSpec] = TypeAdapter(Annotated[DiscreteSpec, Of("linear")])
 
 
-def build(**keys: Any) -> LinearSpec:
+def build(**keys: Any) -> DiscreteSpec:
     return linear.validate_python(keys)
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from hident import plugins
 from hident.engine.experiment import load
-from hident.engine.preflight import check_inputs
+from hident.engine.preflight import check_records
 from hident.errors import ConfigError
 
 CONFIG = """\
@@ -37,7 +37,7 @@ def plan(folder: Path, excitation: str, *, system: str = "hammerstein", other: s
 
 
 def test_an_irregular_input_passes(tmp_path):
-    check_inputs(plan(tmp_path, "{kind: iid, distribution: gaussian, std: 1}"))
+    check_records(plan(tmp_path, "{kind: iid, distribution: gaussian, std: 1}"))
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_an_irregular_input_passes(tmp_path):
 )
 def test_a_poor_input_is_refused_with_its_line(tmp_path, excitation, message):
     with pytest.raises(ConfigError) as caught:
-        check_inputs(plan(tmp_path, excitation))
+        check_records(plan(tmp_path, excitation))
     first, second = str(caught.value).splitlines()
     assert first.startswith(
         f"{tmp_path}/c.yaml:11: estimators.tsa: the input cannot tell the parameters apart: "

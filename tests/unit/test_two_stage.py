@@ -40,7 +40,7 @@ def simulated(seed, noise=0.0, samples=100, a=A, b=B):
     linear = TransferFunction(b=(0.0, *b))
     f = Polynomial(coefficients=(0.0, *a))
     y = linear.filter(f(x)) + noise * rng.normal(size=samples)
-    return Record(x, y, None, Truth(f, linear, linear.values()))
+    return Record(x, y, None, Truth(f, linear, values=linear.values()))
 
 
 def spec(**fields):
