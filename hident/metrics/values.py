@@ -58,6 +58,21 @@ class Error(_EachValue, _AgainstTruth):
         return self.errors(estimate, record)
 
 
+@component("metric", "true_value")
+class TrueValue(_EachValue):
+    """The true values themselves, such as a steady state that the paper prints."""
+
+    def needs_of_truth(self) -> frozenset[str]:
+        return frozenset(f"value {name}" for name in self.of)
+
+    def needs_of_estimate(self) -> frozenset[str]:
+        return frozenset()
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        assert record.truth is not None
+        return [record.truth.values[name] for name in self.of]
+
+
 @component("metric", "share")
 class Share(_EachValue):
     """100 where the values equal a given number, else 0: its mean is the percentage of such trials."""

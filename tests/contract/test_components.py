@@ -65,6 +65,8 @@ class Example:
 
     settings: dict[str, Any]
     linear: dict[str, Any] = field(default_factory=lambda: AR)
+    system: str = "hammerstein"
+    dt: float | None = None
     invariances: frozenset[str] = frozenset({"scale"})
 
 
@@ -73,6 +75,9 @@ BANDWIDTH = {"h0": 0.5, "alpha": 0.2}
 TRIGONOMETRIC = {"kind": "trigonometric", "interval": [-1, 1]}
 TERMS = {"q0": 1, "alpha": 0.2}
 LEAST_SQUARES = {"kind": "least_squares", "order": 1}
+CONTINUOUS = {"kind": "continuous", "a": [2.5, 1.5], "b": [1, 0.2], "delay": 0.3}
+MOVING: dict[str, Any] = {"linear": CONTINUOUS, "dt": 0.1}
+HORIZONS = {"delay": 0.3, "first": {"n": 2, "m": 1, "horizon": 8}}
 # A new estimator gets all tests of this file by one line here.
 EXAMPLES = [
     Example({"kind": "kernel", "kernel": "window_unit", "bandwidth": BANDWIDTH}, invariances=MEMORYLESS),
@@ -103,6 +108,25 @@ EXAMPLES = [
     Example(
         {"kind": "cramer_rao", "lags": 2, "degree": 3, "variance": 0.01}, linear=FIR, invariances=frozenset()
     ),
+    Example(
+        {
+            "kind": "iterative_hammerstein",
+            "nonlinearity": {"kind": "polynomial", "degree": 3},
+            **HORIZONS,
+            "second": {"structure": "search", "largest_n": 2},
+        },
+        **MOVING,
+    ),
+    Example(
+        {
+            "kind": "iterative_hammerstein",
+            "nonlinearity": {"kind": "three_segment", "points": 3},
+            **HORIZONS,
+            "second": {"n": 2, "m": 1},
+        },
+        **MOVING,
+    ),
+    Example({"kind": "linear_model", "delay": 0.3, "block": {"n": 2, "m": 1, "horizon": 8}}, **MOVING),
 ]
 
 
@@ -148,7 +172,8 @@ def _data(example, samples):
     return Data.model_validate(
         {
             "samples": samples,
-            "system": {"kind": "hammerstein", "nonlinearity": CUBIC, "linear": example.linear},
+            "dt": example.dt,
+            "system": {"kind": example.system, "nonlinearity": CUBIC, "linear": example.linear},
             "excitation": {"kind": "iid", "distribution": "uniform", "low": -1, "high": 1},
             "noise": {"kind": "white", "std": 0.01},
         }
@@ -284,7 +309,7 @@ class TestEveryEstimator:
 
     def test_provides_what_it_says(self, example):
         found, _ = _fit(example, generate(_data(example, 300), 1, 0))
-        parts = {"nonlinearity": found.nonlinearity, "linear": found.linear}
+        parts = {part: getattr(found, part) for part in ("nonlinearity", "linear", "continuous", "response")}
         given = {name for name, part in parts.items() if part is not None}
         assert given | {f"value {name}" for name in found.values} == _spec(example).provides()
         assert all(isinstance(value, float) for value in found.values.values())
@@ -323,7 +348,7 @@ class TestEveryEstimator:
         truth = generate(_data(example, 300), 1, 0).truth
         for u, y in [(0.5, 0.0), (0.5, 1.0), (0.0, 0.0)]:
             try:
-                _fit(example, Record(np.full(300, u), np.full(300, y), truth=truth))
+                _fit(example, Record(np.full(300, u), np.full(300, y), example.dt, truth))
             except EstimationError as error:
                 assert str(error)
 
@@ -343,5 +368,5 @@ def test_the_scale_of_the_output(example):
 def test_the_order_of_the_samples(example):
     record = generate(_data(example, 300), 1, 0)
     shuffled = np.random.default_rng(2).permutation(300)
-    other = Record(record.u[shuffled], record.y[shuffled], truth=record.truth)
+    other = Record(record.u[shuffled], record.y[shuffled], record.dt, record.truth)
     _same(_fit(example, record), _fit(example, other), 1e-10)

@@ -26,7 +26,7 @@ LAYERS = (
     ("errors", "__init__"),
 )
 # Records and estimates hold a linear block, and name its type for type checkers only.
-EXCEPTIONS = {("records", "systems.linear", "systems.continuous")}
+EXCEPTIONS = {("records", "systems.linear"), ("records", "systems.continuous")}
 HEIGHT = {room: -level for level, rooms in enumerate(LAYERS) for room in rooms}
 MODULES = sorted(ROOT.rglob("*.py"))
 

@@ -1,0 +1,273 @@
+"""The time-weighted integral transform over moving horizons.
+
+Chen, Hwang and Chang 2009, section 3 and eq. (24). On a horizon [t_a, t_b] of length eta with the weight
+w = (t - t_a)^n (t - t_b)^n the derivatives of a signal need not be known (21): T_0{f^(l)} = (-1)^l T_l{f} for
+l = 0, ..., n, where T_l{f} is the integral of w^(l) f (18).
+
+Differs from the paper: w is scaled to (4 s (1 - s))^n with s = (t - t_a)/eta, which peaks at one (the literal
+weight spans many powers of ten), and the sign (-1)^l is part of the transform: the transform of order l is
+the weighted mean over the horizon of the l-th derivative with respect to time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hident.records import Array
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+# A number of samples this close to a whole one is that.
+_WHOLE = 1e-6
+_STENCIL = 6
+_SAMPLES_PER_HALF_WAVE = 4
+_LARGEST_KEPT = 400_000
+
+
+def fewest_samples(order: int) -> int:
+    """Sampling intervals that a horizon needs: four for each half wave of w^(n), n = ``order``."""
+    return _SAMPLES_PER_HALF_WAVE * (order + 1)
+
+
+@dataclass(frozen=True)
+class Knots:
+    """Samples where a signal may have a kink: ``phase`` + k ``hold`` for whole k; none if ``hold`` is 0."""
+
+    hold: int = 0
+    phase: int = 0
+
+    @classmethod
+    def of(cls, held_input: Array, delay: float, dt: float) -> Knots:
+        """The knots of the response to a held input (N,) after a delay.
+
+        They lie as far apart as all changes of the input allow. None are seen if that is less than the
+        stencil of an interpolation, or if the delay takes them off the samples.
+        """
+        hold = int(np.gcd.reduce(np.flatnonzero(np.diff(held_input)) + 1, initial=0))
+        shift = delay / dt
+        if hold < _STENCIL - 1 or abs(shift - round(shift)) > _WHOLE:
+            return SMOOTH
+        return cls(hold, round(shift) % hold)
+
+    def stencils(self, cells: int) -> NDArray[np.int64]:
+        """The first sample of the stencil of each cell [i, i + 1], shape (cells,)."""
+        cell = np.arange(cells)
+        centred = cell - (_STENCIL // 2 - 1)
+        if self.hold:
+            knot = cell - (cell - self.phase) % self.hold
+            centred = np.clip(centred, knot, knot + self.hold + 1 - _STENCIL)
+        return np.clip(centred, 0, cells + 1 - _STENCIL)
+
+
+SMOOTH = Knots()
+
+
+@dataclass(frozen=True)
+class Horizons:
+    """Moving horizons (24) over a record of ``samples`` samples; lengths and times are in samples.
+
+    The k-th horizon starts at ``first`` + k ``stride``, rounded to a sample, and is ``length`` intervals
+    long; ``order`` is n, the highest derivative.
+    """
+
+    samples: int
+    length: int
+    first: float
+    stride: float
+    count: int
+    order: int
+    dt: float
+
+    @classmethod
+    def of(
+        cls, samples: int, dt: float, *, eta: float, overlap: float, order: int, start: float = 0.0
+    ) -> Horizons:
+        """The horizons (24) for a length ``eta``, the fraction ``overlap`` (lambda) and the start t_0.
+
+        Their number is that of the paper's tables: floor((t_f - t_0 - eta)/(lambda eta)).
+
+        Raises
+        ------
+        ValueError
+            If the sampling is too coarse for the horizon, or the record too short.
+        """
+        length = round(eta / dt)
+        if length < fewest_samples(order):
+            raise ValueError(
+                f"the horizon {eta:g} holds {length} sampling intervals of {dt:g}, and order {order} needs "
+                f"{fewest_samples(order)}: take a horizon of at least {fewest_samples(order) * dt:g} "
+                f"or a sampling interval of at most {eta / fewest_samples(order):g}"
+            )
+        end = (samples - 1) * dt
+        count = math.floor((end - start - eta) / (overlap * eta) + _WHOLE)
+        if count < 1:
+            raise ValueError(
+                f"the horizon {eta:g} is too long for the record: it spans {end - start:g} from the start "
+                f"{start:g}, and {(1.0 + overlap) * eta:g} is the least that holds one horizon"
+            )
+        return cls(samples, length, start / dt, overlap * length, count, order, dt)
+
+    @property
+    def eta(self) -> float:
+        """The length of a horizon, in the unit of dt."""
+        return self.length * self.dt
+
+    def require(self, parameters: int) -> None:
+        """Raise ValueError if there are fewer horizons than parameters."""
+        if self.count < parameters:
+            raise ValueError(
+                f"{self.count} horizons are fewer than the {parameters} parameters: take a shorter horizon, "
+                "a smaller overlap step or a longer record"
+            )
+
+    @cached_property
+    def starts(self) -> NDArray[np.int64]:
+        """The first sample of each horizon, shape (count,)."""
+        exact = np.rint(self.first + self.stride * np.arange(self.count)).astype(np.int64)
+        return np.asarray(np.minimum(exact, self.samples - 1 - self.length))
+
+    def sampled(self, knots: Knots = SMOOTH) -> csr_array:
+        """The operator for signals given by samples of a function that is smooth between the ``knots``.
+
+        Returns
+        -------
+        sparse array, shape ((n + 1) count, samples)
+            Row l count + k is the l-th derivative with respect to time, weighted and integrated over
+            horizon k. Local polynomials of degree 5 through the samples are integrated exactly; they do
+            not reach across a knot.
+        """
+        return _kept(_sampled, self, knots)
+
+    def held(self, delay: float = 0.0) -> csr_array:
+        """The operator for signals held from sample to sample and delayed by ``delay``, as :meth:`sampled`.
+
+        Exact. Before the record the signal is zero.
+        """
+        return _kept(_held, self, delay)
+
+    def operator(self, weights: Array, shift: int) -> csr_array:
+        """The operator with rows ``weights`` (n + 1, count or 1, width) from every start + ``shift`` on."""
+        from scipy.sparse import csr_array
+
+        orders, _, width = weights.shape
+        columns = (self.starts + shift)[:, None] + np.arange(width)
+        data = np.broadcast_to(
+            weights / self.eta ** np.arange(orders)[:, None, None], (orders, *columns.shape)
+        )
+        inside = (columns >= 0) & (columns < self.samples)
+        if not np.all(inside):
+            data, columns = np.where(inside, data, 0.0), np.clip(columns, 0, self.samples - 1)
+        rows = orders * self.count
+        return csr_array(
+            (
+                np.ascontiguousarray(data).ravel(),
+                np.ascontiguousarray(np.broadcast_to(columns, data.shape)).ravel(),
+                np.arange(0, (rows + 1) * width, width),
+            ),
+            shape=(rows, self.samples),
+        )
+
+    def held_runs(self, held_input: Array, delay: float, orders: int) -> tuple[csr_array, Array]:
+        """The operator for functions of a held input, and the levels (runs,) of that input.
+
+        Applied to the values of a function at the levels, it gives the transforms of orders 0 to
+        ``orders`` - 1 of that function of the delayed input.
+        """
+        from scipy.sparse import csr_array
+
+        changes = np.flatnonzero(np.diff(held_input, prepend=np.nan))
+        run = np.repeat(np.arange(len(changes)), np.diff(changes, append=len(held_input)))
+        ends = np.arange(len(held_input) + 1)
+        belongs = csr_array((np.ones(len(held_input)), run, ends), shape=(len(run), len(changes)))
+        return self.held(delay)[: orders * self.count] @ belongs, held_input[changes]
+
+    def transform(self, operator: csr_array, signals: Array) -> Array:
+        """All transforms (n + 1, count) of a signal (columns,); with a last axis J for J signals."""
+        return np.asarray(operator @ signals).reshape(-1, self.count, *signals.shape[1:])
+
+
+def _sampled(horizons: Horizons, knots: Knots) -> csr_array:
+    length, order = horizons.length, horizons.order
+    moments = _moments(length, order)
+    first = knots.stencils(horizons.samples - 1)
+    cells = horizons.starts[:, None] + np.arange(length)
+    # A horizon's stencils reach at most this far out of it.
+    reach, width = _STENCIL, length + 1 + 2 * _STENCIL
+    columns = first[cells][..., None] + np.arange(_STENCIL) - (horizons.starts[:, None, None] - reach)
+    flat = (columns + width * np.arange(horizons.count)[:, None, None]).ravel()
+    place = cells - first[cells]
+    weights = [
+        np.bincount(flat, one[np.arange(length), place].ravel(), horizons.count * width) for one in moments
+    ]
+    return horizons.operator(np.reshape(weights, (order + 1, horizons.count, width)), -reach)
+
+
+def _held(horizons: Horizons, delay: float) -> csr_array:
+    intervals = delay / horizons.dt
+    whole = math.floor(intervals + _WHOLE)
+    rest = max(intervals - whole, 0.0)
+    rest = 0.0 if rest < _WHOLE else rest
+    edges = np.clip((np.arange(-1, horizons.length + 1) + rest) / horizons.length, 0.0, 1.0)
+    return horizons.operator(_held_weights(edges, horizons.order)[:, None], -whole - 1)
+
+
+@lru_cache(maxsize=32)
+def _remembered(build: Callable[..., csr_array], *arguments: Any) -> csr_array:
+    return build(*arguments)
+
+
+def _kept(build: Callable[..., csr_array], horizons: Horizons, *arguments: Any) -> csr_array:
+    """The operator, kept for the next trial unless it is large: trials of one case share it."""
+    entries = (horizons.order + 1) * horizons.count * horizons.length
+    if entries > _LARGEST_KEPT:
+        return build(horizons, *arguments)
+    return _remembered(build, horizons, *arguments)
+
+
+def _weight_derivative(order: int, derivative: int) -> np.polynomial.Polynomial:
+    """The derivative of w with respect to s, as a polynomial in z = 2 s - 1, where w = (1 - z^2)^n."""
+    w = np.polynomial.Polynomial([1.0, 0.0, -1.0]) ** order
+    return w.deriv(derivative) * 2.0**derivative
+
+
+@lru_cache(maxsize=32)
+def _moments(length: int, order: int) -> Array:
+    """The integrals of w^(l) times Lagrange polynomials, shape (n + 1, length, places, stencil).
+
+    The second axis is the cell of the horizon, the third the place of the cell in its stencil.
+    """
+    nodes, gauss = np.polynomial.legendre.leggauss(order + _STENCIL // 2)
+    nodes, gauss = (nodes + 1.0) / 2.0, gauss / 2.0
+    points = np.arange(_STENCIL)
+    at = np.arange(_STENCIL - 1)[:, None] + nodes
+    lagrange = np.stack(
+        [np.prod([(at - q) / (p - q) for q in points if q != p], axis=0) for p in points], axis=-1
+    )
+    z = 2.0 * (np.arange(length)[:, None] + nodes) / length - 1.0
+    signs = (-1.0) ** np.arange(order + 1)
+    w = np.array([_weight_derivative(order, derivative)(z) for derivative in range(order + 1)])
+    moments = np.einsum("l,lcg,g,ogp->lcop", signs / length, w, gauss, lagrange)
+    moments.flags.writeable = False
+    return np.asarray(moments)
+
+
+def _held_weights(edges: Array, order: int) -> Array:
+    """The integrals between the ``edges`` (width + 1,), in horizons, shape (n + 1, width)."""
+    z = 2.0 * edges - 1.0
+    rows = []
+    for derivative in range(order + 1):
+        antiderivative = (
+            _weight_derivative(order, derivative - 1)
+            if derivative
+            else _weight_derivative(order, 0).integ() / 2.0
+        )
+        rows.append((-1.0) ** derivative * np.diff(antiderivative(z)))
+    return np.asarray(rows)
