@@ -12,9 +12,16 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, ValidationError, field_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    GetJsonSchemaHandler,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import CoreSchema
 
 from hident.config.load import Document, Problem, override, problems_of, read_leniently
@@ -40,16 +47,31 @@ class PublishedCells(Spec):
     """The ``table`` column of published.csv."""
     row: str
     """The ``row`` column; {axis} stands for a case's label, e.g. 'N={samples}'."""
-    quantity: str
+    quantity: str | None = None
     """The ``quantity`` column; {axis} likewise."""
     estimator: str
     """Name of the estimator in this file."""
-    metric: str
+    metric: str | None = None
     """Label of the metric."""
+    quantities: dict[str, str] = {}
+    """Several quantities of the row at once, each with its metric: {a1: theta a_1, b0: theta b_0}."""
     statistic: Statistic = "mean"
     """The statistic over trials that stands beside the printed number."""
     at: dict[str, Any] = {}
     """Labels of axes that limit the correspondence; all by default."""
+
+    @model_validator(mode="after")
+    def _one_or_several(self) -> Self:
+        alone = (self.quantity is not None, self.metric is not None)
+        if alone != ((False, False) if self.quantities else (True, True)):
+            raise ValueError("give 'quantity' and 'metric', or 'quantities' instead of both")
+        return self
+
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """The quantities with their metrics."""
+        if self.quantity is not None and self.metric is not None:
+            return ((self.quantity, self.metric),)
+        return tuple(self.quantities.items())
 
 
 def _as_runs(value: Any) -> Any:
@@ -252,12 +274,16 @@ def _unknown_names(experiment: Experiment, axes: Sequence[Axis]) -> Iterator[Pro
     for i, cell in enumerate(experiment.published.cells if experiment.published else ()):
         at = ("published", "cells", i)
         yield from unknown((*at, "estimator"), "estimator", cell.estimator, known["estimator"])
-        yield from unknown((*at, "metric"), "metric", cell.metric, known["metric"])
+        for quantity, metric in cell.pairs():
+            where = ("quantities", quantity) if cell.quantities else ("metric",)
+            yield from unknown((*at, *where), "metric", metric, known["metric"])
         for axis, label in cell.at.items():
             yield from unknown((*at, "at"), "axis", axis, known["axis"])
             yield from unknown(
                 (*at, "at", axis), "label", str(label), known.get(f"label of {axis}", [str(label)])
             )
-        for field in ("row", "quantity"):
-            for axis in re.findall(r"{([^{}]*)}", getattr(cell, field)):
+        quantity_field = "quantities" if cell.quantities else "quantity"
+        texts = [("row", cell.row), *((quantity_field, quantity) for quantity, _ in cell.pairs())]
+        for field, text in texts:
+            for axis in re.findall(r"{([^{}]*)}", text):
                 yield from unknown((*at, field), "axis", axis, known["axis"])

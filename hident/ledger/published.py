@@ -116,9 +116,9 @@ def read_published(paper: Path) -> dict[Key, Printed]:
 
 
 def printed_beside(
-    cell: PublishedCells, labels: Mapping[str, Label], numbers: Mapping[Key, Printed]
+    cell: PublishedCells, quantity: str, labels: Mapping[str, Label], numbers: Mapping[Key, Printed]
 ) -> Printed:
-    """The printed number that stands beside a cell at these labels of axes.
+    """The printed number of a cell's quantity at these labels of axes.
 
     Raises
     ------
@@ -131,8 +131,8 @@ def printed_beside(
             raise ConfigError(f"the axis '{found[1]}' does not touch the estimator '{cell.estimator}'")
         return str(labels[found[1]])
 
-    row, quantity = (re.sub(r"{([^{}]*)}", label, text) for text in (cell.row, cell.quantity))
-    key = (cell.table, row, quantity)
+    row, written = (re.sub(r"{([^{}]*)}", label, text) for text in (cell.row, quantity))
+    key = (cell.table, row, written)
     if key not in numbers:
         near = did_you_mean(_spelled(key), map(_spelled, numbers))
         raise ConfigError(f"published.csv has no number for {_spelled(key)}{near}")
@@ -154,17 +154,18 @@ def cells_astray(plan: Plan, cells: Sequence[PublishedCells]) -> Iterator[tuple[
     if plan.paper is None:
         return
     numbers = read_published(plan.paper)
-    for i, cell in enumerate(cells):
+    every = ((i, cell, *pair) for i, cell in enumerate(cells) for pair in cell.pairs())
+    for i, cell, quantity, metric in every:
         cases = [
             unit.labels
             for unit in plan.units
-            if unit.name == cell.estimator and cell.metric in unit.metric_labels and unit.is_at(cell.at)
+            if unit.name == cell.estimator and metric in unit.metric_labels and unit.is_at(cell.at)
         ]
         if not cases:
-            yield i, f"no estimate of '{cell.estimator}' has the metric '{cell.metric}' at these labels"
+            yield i, f"no estimate of '{cell.estimator}' has the metric '{metric}' at these labels"
         try:
             for labels in cases:
-                printed_beside(cell, labels, numbers)
+                printed_beside(cell, quantity, labels, numbers)
         except ConfigError as error:
             yield i, str(error)
 

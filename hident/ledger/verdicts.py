@@ -61,9 +61,10 @@ def judge(results: Results) -> tuple[Verdict, ...]:
         return ()
     numbers, reasons = read_published(paper), read_reasons(paper)
     verdicts = []
-    for cell in published.cells:
-        for series in results.select(cell.estimator, cell.metric, cell.at):
-            printed = printed_beside(cell, series.unit.labels, numbers)
+    every = ((cell, *pair) for cell in published.cells for pair in cell.pairs())
+    for cell, quantity, metric in every:
+        for series in results.select(cell.estimator, metric, cell.at):
+            printed = printed_beside(cell, quantity, series.unit.labels, numbers)
             ours, low, high, interval = _interval(series, cell.statistic, published)
             word = _word(printed, ours, low, high)
             why = next((r.reason for r in reasons if r.covers(results.plan.name, printed.key)), "")

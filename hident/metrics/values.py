@@ -46,8 +46,14 @@ class _AgainstTruth(_OfValues):
 class Value(_EachValue):
     """The estimated values themselves."""
 
+    prefix: str = ""
+    """What stands before every name in the estimate, such as first_ for a first stage."""
+
+    def needs_of_estimate(self) -> frozenset[str]:
+        return frozenset(f"value {self.prefix}{name}" for name in self.of)
+
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        return [estimate.values[name] for name in self.of]
+        return [estimate.values[self.prefix + name] for name in self.of]
 
 
 @component("metric", "error")

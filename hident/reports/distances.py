@@ -39,7 +39,8 @@ class _Distances(TableSpec):
             yield "at", f"label of {axis}", str(label)
         for i, cell in enumerate(self.cells):
             yield ("cells", i, "estimator"), "estimator", cell.estimator
-            yield ("cells", i, "metric"), "metric", cell.metric
+            for _, metric in cell.pairs():
+                yield ("cells", i, "metric"), "metric", metric
 
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         if plan.paper is None:
@@ -56,16 +57,17 @@ class _Distances(TableSpec):
         assert paper is not None
         numbers = read_published(paper)
         ratios: dict[tuple[str, ...], list[float]] = {}
-        for cell in self.cells:
-            for series in results.select(cell.estimator, cell.metric, cell.at):
+        every = ((cell, *pair) for cell in self.cells for pair in cell.pairs())
+        for cell, quantity, metric in every:
+            for series in results.select(cell.estimator, metric, cell.at):
                 labels = series.unit.labels
-                printed = printed_beside(cell, labels, numbers)
+                printed = printed_beside(cell, quantity, labels, numbers)
                 if not series.unit.is_at(self.at):
                     continue
                 setting = tuple(str(labels.get(axis, "")) for axis in self.axes(results))
                 with np.errstate(divide="ignore", invalid="ignore"):
                     ratio = abs(np.log(series.value(cell.statistic) / printed.value))
-                group = (cell.metric, cell.statistic, printed.quantity, *setting)
+                group = (metric, cell.statistic, printed.quantity, *setting)
                 ratios.setdefault(group, []).append(float(ratio))
         return {group: float(np.mean(values)) for group, values in ratios.items()}
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 
 from hident.engine.experiment import PublishedCells
 from hident.errors import ConfigError
@@ -90,9 +91,9 @@ def test_a_faulty_reason_is_named_with_its_line(tmp_path):
 def test_only_axes_in_braces_are_replaced(row, labels, key):
     cell = PublishedCells(table="T", row=row, quantity="q", estimator="k", metric="m")
     printed = Printed("T", key, "q", "1", "")
-    assert printed_beside(cell, labels, {printed.key: printed}) is printed
+    assert printed_beside(cell, "q", labels, {printed.key: printed}) is printed
     with pytest.raises(ConfigError, match=r"^published.csv has no number for T / .* / q$"):
-        printed_beside(cell, labels, {})
+        printed_beside(cell, "q", labels, {})
 
 
 def test_cells_are_checked_against_the_printed_numbers(tmp_path):
@@ -123,3 +124,11 @@ published:
         "published.cells[3]: no estimate of 'two' has the metric 'a a_1' at these labels",
     ]
     assert len({line.partition(":")[0] for line in lines}) == 4
+
+
+def test_several_quantities_of_a_row_stand_in_one_cell():
+    cell = PublishedCells(table="T", row="r", estimator="k", quantities={"a": "m a_1", "b": "m b_1"})
+    assert cell.pairs() == (("a", "m a_1"), ("b", "m b_1"))
+    for wrong in ({}, {"quantity": "q"}, {"metric": "m"}, {"quantity": "q", "quantities": {"a": "b"}}):
+        with pytest.raises(ValidationError, match="give 'quantity' and 'metric', or 'quantities' instead"):
+            PublishedCells(table="T", row="r", estimator="k", **wrong)
