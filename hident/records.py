@@ -16,32 +16,94 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Characteristic = Callable[[Array], Array]
+Response = Callable[[Array, float], Array]
+"""The noise-free output (N,) to an input (N,), given the sampling interval."""
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A signal that is ``levels[j]`` from ``times[j]`` on, both of shape (J,), and ``before`` until time 0.
+
+    The times increase from 0; the last level goes on.
+    """
+
+    times: Array
+    levels: Array
+    before: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Periodic:
+    """offset + Re sum_h amplitudes[h] exp(j harmonics[h] omega t) with omega = 2 pi/period.
+
+    ``harmonics`` and ``amplitudes`` have the shape (H,). Unless ``settled``, the signal is the constant
+    offset until time 0.
+    """
+
+    period: float
+    offset: float
+    harmonics: NDArray[np.int64]
+    amplitudes: NDArray[np.complex128]
+    settled: bool = True
+
+
+Waveform = Held | Periodic
+"""What a signal is between its samples; time 0 is its first sample."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One of the experiments that a record consists of: its samples are ``start`` to ``stop`` - 1.
+
+    ``dt`` is its own sampling interval, and ``waveform`` what was applied, from time 0 at its first sample.
+    """
+
+    start: int
+    stop: int
+    dt: float
+    waveform: Waveform
+
+    def __len__(self) -> int:
+        return self.stop - self.start
+
+    @property
+    def samples(self) -> slice:
+        """Where the part stands in the record: ``record.y[part.samples]``."""
+        return slice(self.start, self.stop)
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
     """What only a simulation knows.
 
-    ``linear`` is the linear block in discrete time, ``continuous`` that in continuous time. ``values`` are
-    the true parameters by name (``a_1``, ``b_0``, ...). ``breakpoints`` are the points at which the
-    nonlinearity or its derivative jumps, in increasing order.
+    ``linear`` is the linear block in discrete time, ``continuous`` that in continuous time, ``response``
+    the whole system. ``values`` are the true parameters by name (``a_1``, ``b_0``, ...). ``breakpoints``
+    are the points at which the nonlinearity or its derivative jumps, in increasing order. ``blocks`` are
+    the linear blocks in continuous time where there are several, by their place: ``input`` and ``output``.
     """
 
     nonlinearity: Characteristic | None = None
     linear: TransferFunction | None = None
     continuous: ContinuousTransferFunction | None = None
+    response: Response | None = None
+    blocks: Mapping[str, ContinuousTransferFunction] = field(default_factory=dict)
     values: Mapping[str, float] = field(default_factory=dict)
     breakpoints: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Input and output, float64 of shape (N,), at sampling interval ``dt`` (None: discrete time)."""
+    """Input and output, float64 of shape (N,), at sampling interval ``dt`` (None: discrete time).
+
+    ``parts`` are the experiments by name, one after the other, where several were made or where it matters
+    what the input is between its samples.
+    """
 
     u: Array
     y: Array
     dt: float | None = None
     truth: Truth | None = None
+    parts: Mapping[str, Part] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.u.shape != self.y.shape or self.u.ndim != 1:
@@ -71,6 +133,7 @@ class Estimate:
     nonlinearity: Characteristic | None = None
     linear: TransferFunction | None = None
     continuous: ContinuousTransferFunction | None = None
+    response: Response | None = None
     values: Mapping[str, float] = field(default_factory=dict)
     diagnostics: Mapping[str, float] = field(default_factory=dict)
     details: Mapping[str, Any] = field(default_factory=dict)

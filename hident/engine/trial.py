@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 import traceback
@@ -11,14 +12,14 @@ from functools import cached_property
 from typing import Annotated, Any, cast
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from hident.config.spec import Count, Of, Real, Spec, canonical
 from hident.errors import EstimationError, SimulationError
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
-from hident.records import Array, Estimate, Record
-from hident.signals.base import ExcitationSpec, NoiseSpec
+from hident.records import Array, Estimate, Part, Record
+from hident.signals.base import ExcitationSpec, NoiseSpec, Stretch
 from hident.signals.streams import NumpyStreams, StreamsSpec
 from hident.systems.base import SystemSpec
 
@@ -52,6 +53,17 @@ class Data(Spec):
     @classmethod
     def _listed(cls, value: Any) -> Any:
         return [value] if isinstance(value, str | Mapping | NoiseSpec) else value
+
+    @field_validator("excitation")
+    @classmethod
+    def _start_can_be_chosen(cls, excitation: ExcitationSpec, info: ValidationInfo) -> ExcitationSpec:
+        system = info.data.get("system")
+        if excitation.chooses_start() and system is not None and not system.follows_waveforms():
+            raise ValueError(
+                "'start' needs a wiener_hammerstein system with continuous blocks; "
+                f"this {system.kind} starts as its linear blocks say: leave it out"
+            )
+        return excitation
 
     @cached_property
     def key(self) -> int:
@@ -88,25 +100,56 @@ class Outcome:
     crash: str = ""
 
 
-def generate_input(data: Data, seed: int, trial: int, burn_in: int = 0) -> Array:
-    """The input of one trial (burn_in + N,), which begins ``burn_in`` samples before the record."""
-    dt = 1.0 if data.dt is None else data.dt
+def generate_input(data: Data, seed: int, trial: int) -> Array:
+    """The input (N,) of one trial."""
     stream = data.streams.generator("input", seed, data.key, trial)
-    return data.excitation.sample(data.samples, dt, stream, burn_in)
+    return data.excitation.sample(data.samples, _interval(data), stream)
 
 
 def generate(data: Data, seed: int, trial: int) -> Record:
     """The record of one trial."""
-    burn_in = data.system.burn_in()
-    u = generate_input(data, seed, trial, burn_in)
-    y = data.system.simulate(u, 1.0 if data.dt is None else data.dt)[burn_in:]
+    inputs = data.streams.generator("input", seed, data.key, trial)
+    stretches = data.excitation.stretches(data.samples, _interval(data))
+    if len(stretches) > 1 or data.system.follows_waveforms():
+        u, y, parts = _experiments(data.system, stretches, inputs)
+    else:
+        u, y, parts = *_sampled(data.system, stretches[0], inputs), {}
     noise = data.streams.generator("noise", seed, data.key, trial)
     for spec in data.noise:
         y = spec.measure(y, noise)
-    u = u[burn_in:]
     # All estimators of a trial share them: one that writes crashes instead of changing the others' data.
     u.flags.writeable = y.flags.writeable = False
-    return Record(u, y, data.dt, data.system.truth())
+    return Record(u, y, data.dt, data.system.truth(), parts)
+
+
+def _interval(data: Data) -> float:
+    return 1.0 if data.dt is None else data.dt
+
+
+def _experiments(
+    system: SystemSpec, stretches: Sequence[Stretch], rng: np.random.Generator
+) -> tuple[Array, Array, dict[str, Part]]:
+    """Input and noise-free output of all experiments, one after the other, and where each stands."""
+    inputs, outputs, parts, start = [], [], {}, 0
+    for stretch in stretches:
+        waveform = stretch.waveform(copy.deepcopy(rng))
+        if system.follows_waveforms():
+            u = stretch.excitation.sample(stretch.samples, stretch.dt, rng)
+            y = system.respond(waveform, stretch.samples, stretch.dt)
+        else:
+            u, y = _sampled(system, stretch, rng)
+        inputs.append(u)
+        outputs.append(y)
+        parts[stretch.name] = Part(start, start + stretch.samples, stretch.dt, waveform)
+        start += stretch.samples
+    return np.concatenate(inputs), np.concatenate(outputs), parts
+
+
+def _sampled(system: SystemSpec, stretch: Stretch, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Input and noise-free output of one experiment on a system that knows the input by its samples."""
+    burn_in = system.burn_in()
+    u = stretch.excitation.sample(stretch.samples, stretch.dt, rng, burn_in)
+    return u[burn_in:], system.simulate(u, stretch.dt)[burn_in:]
 
 
 def estimate(data: Data, job: Job, record: Record, seed: int, trial: int) -> Estimate:

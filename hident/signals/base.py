@@ -2,10 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from hident.config.spec import Component
-from hident.records import Array
+from hident.records import Array, Held, Periodic, Waveform
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """One experiment of a record: an excitation applied for ``samples`` samples at ``dt``.
+
+    A periodic signal has been applied ever since if ``settled``, else from the first sample on.
+    """
+
+    name: str
+    excitation: ExcitationSpec
+    samples: int
+    dt: float
+    settled: bool = True
+
+    def waveform(self, rng: np.random.Generator) -> Waveform:
+        """The signal between the samples, from a generator equal to that of the samples."""
+        waveform = self.excitation.waveform(self.samples, self.dt, rng)
+        return replace(waveform, settled=self.settled) if isinstance(waveform, Periodic) else waveform
 
 
 class ExcitationSpec(Component):
@@ -21,6 +42,31 @@ class ExcitationSpec(Component):
         staircase by its first level. Given the generator, the record does not depend on ``burn_in``.
         """
         raise NotImplementedError
+
+    def waveform(self, n: int, dt: float, rng: np.random.Generator) -> Waveform:
+        """The signal whose samples :meth:`sample` gives from an equal generator without burn-in.
+
+        Unless an excitation knows better, it is held from sample to sample, and zero before the record.
+        """
+        return Held(np.arange(float(n)) * dt, self.sample(n, dt, rng))
+
+    def period_at(self, dt: float) -> float | None:
+        """The period of a signal made of harmonics, in time; None for any other."""
+        return None
+
+    def stretches(self, n: int, dt: float) -> tuple[Stretch, ...]:
+        """The experiments that a record of ``n`` samples consists of, one after the other.
+
+        Raises
+        ------
+        ValueError
+            If they cannot be made with that ``dt``.
+        """
+        return (Stretch("record", self, n, dt),)
+
+    def chooses_start(self) -> bool:
+        """Whether it says how an experiment starts, which not every system can follow."""
+        return False
 
 
 class NoiseSpec(Component):

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from hident.config.spec import Count, Flag, Interval, Of, Real, component
 from hident.config.suggest import one_of
-from hident.records import Array
+from hident.records import Array, Held, Periodic
 from hident.signals.base import ExcitationSpec
 from hident.systems.linear import DiscreteSpec, LinearSpec
 
@@ -44,6 +44,8 @@ _TAPS: dict[int, tuple[int, ...]] = {
 # A time this close below a switching instant, relative to the time, is at it: k*dt/hold is not exact.
 _AT_THE_SWITCH = 1e-12
 _WHOLE = 1e-9
+# A period this close to a whole number of samples, relative to it, is computed once and repeated.
+_REPEATS = 1e-12
 _PERIODS_SEARCHED = 10_000
 
 
@@ -131,11 +133,16 @@ class Multistep(_Random):
 
     def sample(self, n: int, dt: float, rng: np.random.Generator, burn_in: int = 0) -> Array:
         step = _hold_number(_times(n, burn_in), dt, self.switching_time)
-        levels = self._draw(int(step[-1] - step[0]) + 1, rng, self.limits)
-        if self.limits is not None:
-            levels = np.clip(levels, *self.limits)
         # Steps before time 0 have negative numbers: the levels at the end, drawn last.
-        return levels[step]
+        return self._levels(int(step[-1] - step[0]) + 1, rng)[step]
+
+    def waveform(self, n: int, dt: float, rng: np.random.Generator) -> Held:
+        count = int(_hold_number(np.array([n - 1]), dt, self.switching_time)[0]) + 1
+        return Held(np.arange(float(count)) * self.switching_time, self._levels(count, rng))
+
+    def _levels(self, count: int, rng: np.random.Generator) -> Array:
+        levels = self._draw(count, rng, self.limits)
+        return levels if self.limits is None else np.clip(levels, *self.limits)
 
 
 @component("excitation", "prbs", source="Golomb 1967")
@@ -191,8 +198,24 @@ class Sine(ExcitationSpec):
             _check_whole_periods(n, 2 * math.pi / self._frequency() / dt)
 
     def sample(self, n: int, dt: float, rng: np.random.Generator, burn_in: int = 0) -> Array:
-        t = _times(n, burn_in) * dt
+        period = self.period_at(dt) / dt
+        samples = round(period)
+        if samples and abs(period - samples) <= _REPEATS * samples:
+            once = (np.arange(min(samples, burn_in + n)) - burn_in) % samples
+            return np.resize(self._at(once, dt), burn_in + n)
+        return self._at(_times(n, burn_in), dt)
+
+    def _at(self, times: NDArray[np.int64], dt: float) -> Array:
+        t = times * dt
         return np.asarray(self.offset + self.amplitude * np.sin(self._frequency() * t + self.phase))
+
+    def waveform(self, n: int, dt: float, rng: np.random.Generator) -> Periodic:
+        # sin(x) = Re(-j exp(j x))
+        amplitude = -1j * self.amplitude * np.exp(1j * self.phase)
+        return Periodic(self.period_at(dt), self.offset, np.array([1]), np.array([amplitude]))
+
+    def period_at(self, dt: float) -> float:
+        return 2 * math.pi / self._frequency() if self.period is None else self.period
 
     def _frequency(self) -> float:
         if self.frequency is not None:
@@ -206,9 +229,11 @@ class Staircase(ExcitationSpec):
     """Given levels one after the other, each held for the same time; the last one goes on."""
 
     levels: Annotated[tuple[Real, ...], Field(min_length=1)]
-    """The levels in their order; the first one also holds before the record."""
+    """The levels in their order."""
     hold: Positive
     """Time for which a level is held, in the unit of dt; need not be a multiple of dt."""
+    initial: Real | None = None
+    """Level before the record, e.g. 0 (default: the first level)."""
 
     def check(self, n: int, dt: float) -> None:
         last = len(self.levels) - 1
@@ -221,7 +246,15 @@ class Staircase(ExcitationSpec):
 
     def sample(self, n: int, dt: float, rng: np.random.Generator, burn_in: int = 0) -> Array:
         step = _hold_number(_times(n, burn_in), dt, self.hold)
-        return np.asarray(self.levels)[np.clip(step, 0, len(self.levels) - 1)]
+        # Number -1 stands for all that was before the record.
+        levels = np.array([*self.levels, self._before()])
+        return levels[np.clip(step, -1, len(self.levels) - 1)]
+
+    def waveform(self, n: int, dt: float, rng: np.random.Generator) -> Held:
+        return Held(np.arange(float(len(self.levels))) * self.hold, np.array(self.levels), self._before())
+
+    def _before(self) -> float:
+        return self.levels[0] if self.initial is None else self.initial
 
 
 @component("excitation", "multisine", source="Pintelon and Schoukens 2012")
@@ -255,14 +288,26 @@ class Multisine(ExcitationSpec):
             _check_whole_periods(n, self.period)
 
     def sample(self, n: int, dt: float, rng: np.random.Generator, burn_in: int = 0) -> Array:
-        highest = self.highest or (self.period - 1) // 2
-        harmonics = np.arange(1, highest + 1, 2 if self.grid == "odd" else 1)
+        harmonics = self._harmonics()
         phases = 2 * np.pi * rng.random(len(harmonics))
         spectrum = np.zeros(self.period // 2 + 1, dtype=complex)
         # H harmonics of amplitude A = 2 |spectrum| / period have the mean square H A^2 / 2.
         spectrum[harmonics] = self.period * self.rms / np.sqrt(2 * len(harmonics)) * np.exp(1j * phases)
         wave = np.fft.irfft(spectrum, self.period)
         return self.offset + wave[_times(n, burn_in) % self.period]
+
+    def waveform(self, n: int, dt: float, rng: np.random.Generator) -> Periodic:
+        harmonics = self._harmonics()
+        phases = 2 * np.pi * rng.random(len(harmonics))
+        amplitudes = self.rms * np.sqrt(2 / len(harmonics)) * np.exp(1j * phases)
+        return Periodic(self.period_at(dt), self.offset, harmonics, amplitudes)
+
+    def period_at(self, dt: float) -> float:
+        return self.period * dt
+
+    def _harmonics(self) -> NDArray[np.int64]:
+        highest = self.highest or (self.period - 1) // 2
+        return np.arange(1, highest + 1, 2 if self.grid == "odd" else 1)
 
 
 def _discrete(linear: LinearSpec) -> LinearSpec:
@@ -286,6 +331,8 @@ class Filtered(ExcitationSpec):
     """The block: its output is applied to the system."""
 
     def check(self, n: int, dt: float) -> None:
+        if len(self.excitation.stretches(n, dt)) > 1:
+            raise ValueError("cannot filter several experiments: filter the excitation of each of them")
         self.excitation.check(n, dt)
 
     def sample(self, n: int, dt: float, rng: np.random.Generator, burn_in: int = 0) -> Array:

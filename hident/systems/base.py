@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, BeforeValidator
 
 from hident.config.spec import Component, Real
-from hident.records import Array, Truth
+from hident.records import Array, Truth, Waveform
 
 
 def _as_list(value: Any) -> Any:
@@ -62,17 +62,33 @@ class SystemSpec(Component):
         """
         raise NotImplementedError
 
+    def follows_waveforms(self) -> bool:
+        """Whether its data come from :meth:`respond`, not from :meth:`simulate` and the input's samples."""
+        return False
+
+    def respond(self, waveform: Waveform, n: int, dt: float) -> Array:
+        """The noise-free response (n,) to a signal in continuous time, at the times 0, dt, 2 dt, ...
+
+        Raises
+        ------
+        SimulationError
+            If the simulation does not converge; the trial then counts as failed.
+        """
+        raise NotImplementedError
+
     def truth(self) -> Truth:
         """The parts of the system that an estimate can be compared with."""
         raise NotImplementedError
 
     def provides(self) -> frozenset[str]:
-        """The parts of :meth:`truth`: ``nonlinearity``, ``linear``, ``continuous``, ``value NAME``."""
+        """The parts of :meth:`truth`: ``nonlinearity``, ``linear``, ``response``, ``value NAME``..."""
         truth = self.truth()
         parts: dict[str, Any] = {
             "nonlinearity": truth.nonlinearity,
             "linear": truth.linear,
             "continuous": truth.continuous,
+            "response": truth.response,
+            "blocks": truth.blocks or None,
         }
         known = {name for name, part in parts.items() if part is not None}
         return frozenset(known | {f"value {name}" for name in truth.values})

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Annotated, Self
 
+import numpy as np
 from pydantic import model_validator
 
 from hident.config.spec import Of, component
-from hident.records import Array, Truth
+from hident.records import Array, Held, Truth, Waveform
 from hident.systems.base import NonlinearitySpec, SystemSpec
-from hident.systems.continuous import ContinuousTransferFunction
+from hident.systems.continuous import Continuous, ContinuousTransferFunction
+from hident.systems.continuous_wiener_hammerstein import respond
 from hident.systems.linear import DiscreteSpec, LinearSpec
 
 
@@ -30,6 +32,7 @@ class _OneLinearBlock(SystemSpec):
         block = self.linear.transfer_function()
         truth = Truth(
             nonlinearity=self.nonlinearity,
+            response=self.simulate,
             values=block.values(),
             breakpoints=self.nonlinearity.break_points(),
         )
@@ -71,7 +74,11 @@ def _start(initial: str | tuple[float, ...]) -> str:
 
 @component("system", "wiener_hammerstein")
 class WienerHammerstein(SystemSpec):
-    """A static nonlinearity between two linear blocks."""
+    """A static nonlinearity between two linear blocks, both discrete or both continuous.
+
+    Continuous blocks are driven by the signal itself, not by its samples held: a sine is one between the
+    samples too, from its periodic steady state; other signals find the system in equilibrium.
+    """
 
     input_linear: Annotated[LinearSpec, Of("linear")]
     """The linear block before the nonlinearity."""
@@ -81,22 +88,41 @@ class WienerHammerstein(SystemSpec):
     """The linear block after the nonlinearity."""
 
     @model_validator(mode="after")
-    def _check_starts(self) -> Self:
-        if not (isinstance(self.input_linear, DiscreteSpec) and isinstance(self.output_linear, DiscreteSpec)):
-            raise ValueError("both linear blocks must be discrete")
-        first, second = self.input_linear.initial, self.output_linear.initial
-        if (first == "stationary") != (second == "stationary"):
-            raise ValueError(
-                "both linear blocks must start stationary, or both from a given state, "
-                f"not {_start(first)} and {_start(second)}: "
-                "a burn-in would move the given state before the record"
-            )
+    def _check_blocks(self) -> Self:
+        match self.input_linear, self.output_linear:
+            case DiscreteSpec(initial=first), DiscreteSpec(initial=second):
+                if (first == "stationary") != (second == "stationary"):
+                    raise ValueError(
+                        "both linear blocks must start stationary, or both from a given state, "
+                        f"not {_start(first)} and {_start(second)}: "
+                        "a burn-in would move the given state before the record"
+                    )
+            case Continuous(), Continuous():
+                pass
+            case first, second:
+                raise ValueError(
+                    "both linear blocks must be discrete, or both continuous, "
+                    f"not {first.kind} and {second.kind}"
+                )
         return self
+
+    def check(self, dt: float | None) -> None:
+        self.input_linear.check(dt)
+        self.output_linear.check(dt)
 
     def burn_in(self) -> int:
         return self.input_linear.burn_in() + self.output_linear.burn_in()
 
+    def follows_waveforms(self) -> bool:
+        return isinstance(self.input_linear, Continuous)
+
+    def respond(self, waveform: Waveform, n: int, dt: float) -> Array:
+        blocks = self._continuous_blocks()
+        return respond(blocks["input"], self.nonlinearity, blocks["output"], waveform, n, dt)
+
     def simulate(self, u: Array, dt: float = 1.0) -> Array:
+        if self.follows_waveforms():
+            return self.respond(Held(np.arange(float(len(u))) * dt, u), len(u), dt)
         return self.output_linear.simulate(self.nonlinearity(self.input_linear.simulate(u, dt)), dt)
 
     def truth(self) -> Truth:
@@ -107,6 +133,13 @@ class WienerHammerstein(SystemSpec):
         }
         return Truth(
             nonlinearity=self.nonlinearity,
+            response=self.simulate,
+            blocks=self._continuous_blocks(),
             values=values,
             breakpoints=self.nonlinearity.break_points(),
         )
+
+    def _continuous_blocks(self) -> dict[str, ContinuousTransferFunction]:
+        """The blocks as numbers by their place; empty in discrete time."""
+        sides = {"input": self.input_linear, "output": self.output_linear}
+        return {side: b.transfer_function() for side, b in sides.items() if isinstance(b, Continuous)}

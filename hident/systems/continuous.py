@@ -206,7 +206,7 @@ class Continuous(LinearSpec):
         block = self.transfer_function()
         if not block.is_stable():
             outside = ", ".join(
-                f"{p.real:.6g}" if p.imag == 0 else f"{p.real:.6g}+-{p.imag:.6g}j"
+                f"{abs(p.real):.6g}" if p.imag == 0 else f"{abs(p.real):.6g}+-{p.imag:.6g}j"
                 for p in block.poles()
                 if p.real >= 0.0 and p.imag >= 0.0
             )

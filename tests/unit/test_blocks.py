@@ -64,7 +64,7 @@ def test_truth_of_one_linear_block():
     assert truth.breakpoints == (-1, 2)
     assert truth.nonlinearity == nonlinearity.Saturation(low=-1, high=2)
     assert HAMMERSTEIN.truth().breakpoints == (0,)
-    assert WIENER.provides() == {"nonlinearity", "linear", "value a_1", "value b_0"}
+    assert WIENER.provides() == {"nonlinearity", "linear", "response", "value a_1", "value b_0"}
 
 
 def test_truth_of_two_linear_blocks():
@@ -72,7 +72,8 @@ def test_truth_of_two_linear_blocks():
     assert truth.linear is None
     assert truth.values == {"input_b_0": 1, "input_b_1": 2, "output_a_1": 0.5, "output_b_0": 1}
     assert truth.breakpoints == (0,)
-    assert WIENER_HAMMERSTEIN.provides() == {"nonlinearity", *(f"value {name}" for name in truth.values)}
+    values = {f"value {name}" for name in truth.values}
+    assert WIENER_HAMMERSTEIN.provides() == {"nonlinearity", "response", *values}
 
 
 def test_burn_ins_add_up():
