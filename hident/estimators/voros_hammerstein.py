@@ -1,0 +1,338 @@
+"""Voros's method for Hammerstein systems, and what it shares with his method for Wiener systems.
+
+======  =====================================================================================
+f, g    the two-segment polynomial: f_1 x + f_2 x^2 + ... for x >= 0, g_1 x + g_2 x^2 + ... for x < 0
+h(t)    the switching function: 1 where the argument is negative, else 0
+a_i     feedback of the discrete linear block, i = 1, ..., n
+b_i     its numerator, lags i = delay, ..., delay + m - 1
+x(t)    the internal variable between the blocks
+======  =====================================================================================
+
+Key-term separation: the product of the two blocks' parameters is written out for one term only, the key
+term, and in the others x(t) stays. The model is then linear in all parameters for a known x(t), which is
+taken from the iteration before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from hident.config.spec import Count, Flag, Real, component
+from hident.errors import EstimationError
+from hident.estimators.base import EstimatorSpec, require_finite
+from hident.estimators.bilinear import lengths
+from hident.estimators.least_squares import ILL_CONDITIONED
+from hident.estimators.searches import History
+from hident.records import Array, Characteristic, Estimate, Record, Response
+from hident.systems.linear import TransferFunction
+
+_DIVERGED = 1e6
+"""Growth of the internal variable, relative to the first iteration's, that counts as divergence."""
+_WHOLE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class TwoSegmentPolynomial:
+    """f_1 x + ... + f_r x^r for x >= 0 and g_1 x + ... + g_r x^r for x < 0."""
+
+    f: tuple[float, ...]
+    g: tuple[float, ...]
+
+    def __call__(self, x: Array) -> Array:
+        from numpy.polynomial.polynomial import polyval
+
+        return np.where(x < 0.0, polyval(x, (0.0, *self.g)), polyval(x, (0.0, *self.f)))
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Numbers of coefficients a and b, the first lag, and the degree of each polynomial."""
+
+    n: int
+    m: int
+    delay: int
+    degree: int
+
+    @property
+    def first(self) -> int:
+        """The first sample whose lags are all on record."""
+        return max(self.n, self.delay + self.m - 1)
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How to iterate.
+
+    ``relaxation`` is the share of the new internal variable. No parameter may change by more than
+    ``tolerance``, relative to the largest. Reaching ``max_iterations`` is not an error.
+    """
+
+    relaxation: float = 1.0
+    tolerance: float = 1e-6
+    max_iterations: int = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Iterations:
+    """The parameters theta (iterations + 1, P), the start first, and whether the last ones converged."""
+
+    theta: Array
+    converged: bool
+
+    @property
+    def count(self) -> int:
+        return len(self.theta) - 1
+
+
+def segments(x: Array, degree: int) -> Array:
+    """x^j where x >= 0, then x^j where x < 0, for j = 1, ..., degree; shape (N, 2 degree)."""
+    powers = x[:, None] ** np.arange(1, degree + 1)
+    negative = x[:, None] < 0.0
+    return np.hstack([np.where(negative, 0.0, powers), np.where(negative, powers, 0.0)])
+
+
+def delayed(rows: Array, lags: range, first: int) -> Array:
+    """``rows`` (N,) at t - lag for each lag, t = first, ..., N-1; shape (N - first, lags)."""
+    at = np.arange(first, len(rows))
+    return rows[at[:, None] - np.asarray(lags, dtype=np.intp)]
+
+
+def solve(columns: Array, y: Array) -> Array:
+    """The least squares solution (P,) for ``columns`` (rows, P).
+
+    Raises
+    ------
+    EstimationError
+        If the columns are linearly dependent.
+    """
+    length = lengths(columns)
+    theta, _, _, singular_values = np.linalg.lstsq(columns / length, y, rcond=None)
+    rows, count = columns.shape
+    if rows < count or singular_values[-1] * ILL_CONDITIONED <= singular_values[0]:
+        raise EstimationError(
+            f"the {count} regressors are linearly dependent over {rows} samples: the input needs several "
+            "levels of either sign, or the record is too short, or a degree or an order too high"
+        )
+    return np.asarray(theta / length)
+
+
+def iterate(update: Callable[[Array], tuple[Array, Array]], theta: Array, x: Array, rule: Rule) -> Iterations:
+    """Repeat ``theta, new = update(x)`` and x <- x + relaxation (new - x) until theta rests.
+
+    Parameters
+    ----------
+    update : callable
+        The parameters (P,) found with the internal variable x (N,), and the one that they give.
+    theta, x : array, shapes (P,) and (N,)
+        The start.
+    rule : Rule
+        The relaxation and when to stop.
+
+    Raises
+    ------
+    EstimationError
+        If the internal variable grows without bound, or a regression is singular.
+    """
+    found, bound = [theta], _DIVERGED * float(np.max(np.abs(x)))
+    for iteration in range(1, rule.max_iterations + 1):
+        theta, new = update(x)
+        found.append(theta)
+        x = x + rule.relaxation * (new - x)
+        # Written so that nan counts as divergence too.
+        if not np.max(np.abs(x)) <= bound:
+            raise EstimationError(f"the internal variable diverged in iteration {iteration}")
+        if np.max(np.abs(theta - found[-2])) <= rule.tolerance * np.max(np.abs(theta)):
+            return Iterations(np.array(found), True)
+    return Iterations(np.array(found), False)
+
+
+class VorosSpec(EstimatorSpec):
+    """Base of Voros's methods: their fields, the decimation of the record, and their report."""
+
+    n: Annotated[Count, Field(ge=1)]
+    """Number n of feedback coefficients a_1, ..., a_n."""
+    m: Annotated[Count, Field(ge=1)]
+    """Number m of numerator coefficients, those of the lags delay, ..., delay + m - 1."""
+    delay: Annotated[Count, Field(ge=0)] = 1
+    """The first lag, in steps; a held input before a continuous block with dead time d has d / step + 1."""
+    degree: Annotated[Count, Field(ge=1)]
+    """Degree of the polynomial in each segment."""
+    step: Annotated[Real, Field(gt=0)] | None = None
+    """Sampling interval of the discrete block, a multiple of dt (default: dt); the record is decimated."""
+    relaxation: Annotated[Real, Field(gt=0, le=1)] = 1.0
+    """Share of the new internal variable in each iteration: 1 is Voros's own, less damps."""
+    tolerance: Annotated[Real, Field(gt=0)] = 1e-6
+    """Converged when no parameter changes by more, relative to the largest."""
+    max_iterations: Annotated[Count, Field(ge=1)] = 200
+    """Most iterations."""
+    require_convergence: Flag = False
+    """Whether an iteration that has not converged counts as failed; else its last estimate is reported."""
+
+    def identify(self, u: Array, y: Array) -> Iterations:
+        """The iterations for a decimated record, theta = (a, b, f, g)."""
+        raise NotImplementedError
+
+    def simulate(self, nonlinearity: Characteristic, linear: TransferFunction, u: Array) -> Array:
+        """The response at the method's own step, from rest."""
+        raise NotImplementedError
+
+    def draws(self) -> bool:
+        return False
+
+    def structure(self) -> Structure:
+        return Structure(self.n, self.m, self.delay, self.degree)
+
+    def rule(self) -> Rule:
+        return Rule(self.relaxation, self.tolerance, self.max_iterations)
+
+    def fewest_samples(self) -> int:
+        # Every parameter but the one of the key term, and one equation more.
+        return self.structure().first + self.n + self.m + 2 * self.degree
+
+    def names(self) -> list[str]:
+        """The names of the parameters a, b, f, g."""
+        return [
+            *(f"a_{i}" for i in range(1, self.n + 1)),
+            *(f"b_{i}" for i in range(self.delay, self.delay + self.m)),
+            *(f"{segment}_{j}" for segment in "fg" for j in range(1, self.degree + 1)),
+        ]
+
+    def provides(self) -> frozenset[str]:
+        values = {f"value {name}" for name in (*self.names(), "iterations", "converged")}
+        return frozenset(values | {"nonlinearity", "linear", "response"})
+
+    def check(self, n: int, dt: float | None) -> None:
+        left = len(range(0, n, self._ratio(1.0 if dt is None else dt)))
+        if left < self.fewest_samples():
+            raise ValueError(
+                f"a 'step' of {self.step:g} leaves {left} of the {n} samples, and the method needs at least "
+                f"{self.fewest_samples()}: use a shorter step or a longer record"
+            )
+
+    def _ratio(self, dt: float) -> int:
+        """The samples of the record in a step."""
+        if self.step is None:
+            return 1
+        ratio = round(self.step / dt)
+        if ratio < 1 or abs(self.step / dt - ratio) > _WHOLE * ratio:
+            raise ValueError(
+                f"'step' must be a multiple of the sampling interval {dt:g}, not {self.step:g}: "
+                f"{max(ratio, 1) * dt:g} is the nearest"
+            )
+        return ratio
+
+    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        require_finite(record.y)
+        dt = 1.0 if record.dt is None else record.dt
+        ratio = self._ratio(dt)
+        u, y = record.u[::ratio], record.y[::ratio]
+        if len(u) < self.fewest_samples():
+            raise EstimationError(
+                f"{len(u)} samples at the method's step are too few: it needs {self.fewest_samples()}"
+            )
+        found = self.identify(u, y)
+        if self.require_convergence and not found.converged:
+            raise EstimationError(f"the iteration did not converge in {found.count} iterations")
+        return self._estimate(found, ratio * dt)
+
+    def _estimate(self, found: Iterations, step: float) -> Estimate:
+        names = self.names()
+        theta = found.theta[-1].tolist()
+        a, b = theta[: self.n], theta[self.n : self.n + self.m]
+        f, g = theta[-2 * self.degree : -self.degree], theta[-self.degree :]
+        nonlinearity = TwoSegmentPolynomial(tuple(f), tuple(g))
+        linear = TransferFunction(b=(0.0,) * self.delay + tuple(b), a=tuple(a))
+        counts = {"iterations": float(found.count), "converged": float(found.converged)}
+        reason = "the parameters rest" if found.converged else "the most iterations are reached"
+        history = History(dict(zip(names, found.theta.T, strict=True)), found.converged, reason)
+        return Estimate(
+            nonlinearity=nonlinearity,
+            linear=linear,
+            response=at_step(lambda u: self.simulate(nonlinearity, linear, u), step),
+            values=dict(zip(names, theta, strict=True)) | counts,
+            details={"history": history},
+        )
+
+
+def at_step(simulate: Characteristic, step: float) -> Response:
+    """A discrete model as a response for inputs sampled every ``dt``.
+
+    Where ``dt`` is a multiple of ``step``, the input is held. Where ``step`` is a multiple of ``dt``, the
+    input is decimated and the output interpolated by straight lines. The response raises ValueError for
+    any other ``dt``.
+    """
+
+    def response(u: Array, dt: float) -> Array:
+        finer, coarser = round(dt / step), round(step / dt)
+        if abs(dt - finer * step) <= _WHOLE * dt:
+            return simulate(np.repeat(u, finer))[::finer]
+        if abs(step - coarser * dt) <= _WHOLE * step:
+            at: NDArray[np.intp] = np.arange(0, len(u), coarser)
+            return np.interp(np.arange(len(u)), at, simulate(u[at]))
+        raise ValueError(
+            f"the sampling interval {dt:g} and the model's step {step:g} do not divide each other"
+        )
+
+    return response
+
+
+def voros_hammerstein(u: Array, y: Array, structure: Structure, rule: Rule) -> Iterations:
+    """Fit y(t) = sum a_i y(t-i) + x(t-delay) + sum b_i x(t-i), i > delay, to a two-segment polynomial x of u.
+
+    Parameters
+    ----------
+    u, y : array, shape (N,)
+        Input and output.
+    structure : Structure
+        The numbers of coefficients.
+    rule : Rule
+        The relaxation and when to stop.
+
+    Returns
+    -------
+    Iterations
+        With theta = (a_1, ..., a_n, b_delay = 1, ..., f_1, ..., f_r, g_1, ..., g_r).
+
+    Raises
+    ------
+    EstimationError
+        If a regression is singular, or the iteration diverges.
+
+    Notes
+    -----
+    Voros 1999. The key term is b_delay x(t-delay) with b_delay = 1. Voros's second polynomial is the
+    difference g - f, which spans the same. The iteration starts with all other b_i at zero, where no
+    internal variable is needed.
+    """
+    n, delay, first = structure.n, structure.delay, structure.first
+    basis = segments(u, structure.degree)
+    known = np.hstack([delayed(y, range(1, n + 1), first), basis[first - delay : len(u) - delay]])
+
+    def update(x: Array) -> tuple[Array, Array]:
+        unknown = delayed(x, range(delay + 1, delay + structure.m), first)
+        a, c, b = np.split(solve(np.hstack([known, unknown]), y[first:]), [n, known.shape[1]])
+        return np.concatenate((a, [1.0], b, c)), basis @ c
+
+    a, c = np.split(solve(known, y[first:]), [n])
+    start = np.concatenate((a, [1.0], np.zeros(structure.m - 1), c))
+    return iterate(update, start, basis @ c, rule)
+
+
+@component("estimator", "voros_hammerstein", source="Voros 1999, IEEE Trans. Autom. Control 44, 2145")
+class VorosHammerstein(VorosSpec):
+    """Hammerstein system with a two-segment polynomial, discrete, by key-term separation.
+
+    The first b is 1, so that the static gain lies in the nonlinearity. Both polynomials vanish at zero.
+    """
+
+    def identify(self, u: Array, y: Array) -> Iterations:
+        return voros_hammerstein(u, y, self.structure(), self.rule())
+
+    def simulate(self, nonlinearity: Characteristic, linear: TransferFunction, u: Array) -> Array:
+        return linear.filter(nonlinearity(u))

@@ -1,0 +1,84 @@
+"""Voros's method for Wiener systems; symbols are in :mod:`hident.estimators.voros_hammerstein`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hident.config.spec import component
+from hident.estimators.voros_hammerstein import (
+    Iterations,
+    Rule,
+    Structure,
+    VorosSpec,
+    delayed,
+    iterate,
+    segments,
+    solve,
+)
+from hident.records import Array, Characteristic
+from hident.systems.linear import TransferFunction
+
+
+def voros_wiener(u: Array, y: Array, structure: Structure, rule: Rule) -> Iterations:
+    """Fit y(t) = x(t) + sum f_j x(t)^j + sum (g_j - f_j) x(t)^j h(t), x being a linear block's output.
+
+    Parameters
+    ----------
+    u, y : array, shape (N,)
+        Input and output.
+    structure : Structure
+        The numbers of coefficients.
+    rule : Rule
+        The relaxation and when to stop.
+
+    Returns
+    -------
+    Iterations
+        With theta = (a_1, ..., a_n, b_delay, ..., f_1 = 1, ..., f_r, g_1, ..., g_r).
+
+    Raises
+    ------
+    EstimationError
+        If a regression is singular, or the iteration diverges.
+
+    Notes
+    -----
+    Voros 2003. The key term is x(t) with f_1 = 1, replaced by sum a_i x(t-i) + sum b_i u(t-i); the same sum
+    with the new coefficients and the old x(t-i) is the next internal variable. The iteration starts from the
+    linear model, which takes y for x. Simulating the linear block instead, where x(t-i) is new as well,
+    diverges through unstable blocks on the way.
+    """
+    n, delay, degree, first = structure.n, structure.delay, structure.degree, structure.first
+    past = range(1, n + 1)
+    inputs = delayed(u, range(delay, delay + structure.m), first)
+
+    def renewed(x: Array, a: Array, b: Array) -> Array:
+        """sum a_i x(t-i) + sum b_i u(t-i), both signals being zero before the record."""
+        return TransferFunction((0.0, *a)).filter(x) + TransferFunction((0.0,) * delay + tuple(b)).filter(u)
+
+    def update(x: Array) -> tuple[Array, Array]:
+        # Without the column of f_1, which is in the key term; that of g_1 then carries g_1 - f_1.
+        curved = segments(x[first:], degree)[:, 1:]
+        columns = np.hstack([delayed(x, past, first), inputs, curved])
+        a, b, f, g = np.split(solve(columns, y[first:]), np.cumsum([n, structure.m, degree - 1]))
+        g[0] += 1.0
+        return np.concatenate((a, b, [1.0], f, g)), renewed(x, a, b)
+
+    a, b = np.split(solve(np.hstack([delayed(y, past, first), inputs]), y[first:]), [n])
+    straight = np.eye(1, degree)[0]
+    start = np.concatenate((a, b, straight, straight))
+    return iterate(update, start, renewed(y, a, b), rule)
+
+
+@component("estimator", "voros_wiener", source="Voros 2003, IEEE Trans. Control Syst. Technol. 11, 253")
+class VorosWiener(VorosSpec):
+    """Wiener system with a two-segment polynomial, discrete, by key-term separation.
+
+    f_1 is 1 and the static gain lies in the linear block. Both polynomials vanish at zero.
+    """
+
+    def identify(self, u: Array, y: Array) -> Iterations:
+        return voros_wiener(u, y, self.structure(), self.rule())
+
+    def simulate(self, nonlinearity: Characteristic, linear: TransferFunction, u: Array) -> Array:
+        return nonlinearity(linear.filter(u))
