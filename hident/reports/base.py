@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hident.config.spec import Component
 from hident.engine.results import Results
@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
     from hident.engine.experiment import Plan
 
-Field = str | tuple[str | int, ...]
+Place = tuple[str | int, ...]
+Field = str | Place
 """A field of a spec, or the path to an entry of it: ("columns", 0, "estimator")."""
 Reference = tuple[Field, str, str]
 """The field that refers, what to (estimator, metric, axis, table or 'label of AXIS'), and the name."""
@@ -61,6 +62,13 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return text in ("", "-")
     return True
+
+
+def label_references(place: Place, at: Mapping[str, Any]) -> Iterator[Reference]:
+    """The references of labels by their axes, which stand at the place."""
+    for axis, label in at.items():
+        yield (*place, axis), "axis", axis
+        yield (*place, axis), f"label of {axis}", str(label)
 
 
 def unscored(plan: Plan, field: Field, estimator: str, metric: str) -> Iterator[Misfit]:

@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from hident.config.spec import Count, Flag, Interval, Real, Spec, component
-from hident.engine.experiment import Label, Plan, Statistic
+from hident.config.spec import Flag, Interval, Real, Spec, component
+from hident.engine.experiment import Plan, Statistic
 from hident.engine.results import Results, Series
-from hident.engine.trial import Job, estimate, generate
-from hident.errors import EstimationError
 from hident.ledger.verdicts import Verdict
 from hident.records import Array
-from hident.reports.base import FigureSpec, Misfit, Reference, not_numeric, unscored
-from hident.reports.style import DATA, ESTIMATE, LINES, TRUTH
+from hident.reports.base import FigureSpec, Misfit, Reference, label_references, not_numeric, unscored
+from hident.reports.one_trial import OneTrial, OneTrialFigure, Realised, say_failed, true_curve
+from hident.reports.style import DATA, ESTIMATE, LINES, TRUTH, legend_above
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -181,13 +180,11 @@ class Curve(FigureSpec):
 
 
 @component("figure", "realisation")
-class Realisation(FigureSpec):
+class Realisation(OneTrialFigure):
     """The estimates of one trial against the true characteristic, with the data."""
 
     at: Annotated[tuple[dict[str, Any], ...], Field(min_length=1)] = ({},)
     """Labels of the cases, one panel for each, e.g. [{samples: 50}, {samples: 500}]."""
-    trial: Annotated[Count, Field(ge=0)] = 0
-    """Number of the trial."""
     estimators: Annotated[tuple[str, ...], Field(min_length=1)]
     """Names of the estimators."""
     names: dict[str, str] = {}
@@ -203,9 +200,7 @@ class Realisation(FigureSpec):
 
     def references(self) -> Iterator[Reference]:
         for i, labels in enumerate(self.at):
-            for axis, label in labels.items():
-                yield ("at", i, axis), "axis", axis
-                yield ("at", i, axis), f"label of {axis}", str(label)
+            yield from label_references(("at", i), labels)
         for i, estimator in enumerate(self.estimators):
             yield ("estimators", i), "estimator", estimator
 
@@ -229,44 +224,29 @@ class Realisation(FigureSpec):
             sharey=True,
             figsize=(min(2.5 * columns + 0.4, 10.5), 2.2 * rows + 0.5),
         )
+        trial = OneTrial(results, self.trial)
         for labels, row in zip(self.at, grid, strict=True):
             for name, axes in zip(self.estimators, row, strict=True):
-                self._panel(axes, results, name, labels)
+                self._panel(axes, trial.of(name, labels))
+                case = ", ".join(f"{self.names.get(axis, axis)} = {label}" for axis, label in labels.items())
+                axes.set_title(f"{name}{', ' if case else ''}{case}")
         for axes in grid[-1]:
             axes.set_xlabel(self.x_label)
         for axes in grid[:, 0]:
             axes.set_ylabel(self.y_label)
-        handles = {
-            label: h for axes in grid.flat for h, label in zip(*axes.get_legend_handles_labels(), strict=True)
-        }
-        figure.legend(
-            handles.values(), handles.keys(), loc="outside upper center", ncols=min(4, len(handles))
-        )
+        legend_above(figure)
         return figure
 
-    def _panel(self, axes: Axes, results: Results, name: str, labels: dict[str, Label]) -> None:
-        series = next(results.select(name, labels=labels))
-        unit = series.unit
-        record = generate(unit.data, results.seed, self.trial)
-        low, high = self.interval
-        u = np.linspace(low, high, 2001)
-        truth = record.truth
-        assert truth is not None
-        assert truth.nonlinearity is not None
-        true = truth.nonlinearity(u)
-        true[np.searchsorted(u, [b for b in truth.breakpoints if low < b < high])] = np.nan
-        axes.plot(record.u, record.y, label="data", **DATA)
-        axes.plot(u, true, label="true μ", **TRUTH)
-        case = ", ".join(f"{self.names.get(axis, axis)} = {label}" for axis, label in labels.items())
-        axes.set_title(f"{name}{', ' if case else ''}{case}")
-        try:
-            with np.errstate(all="ignore"):
-                found = estimate(unit.data, Job(unit.estimator, ()), record, results.seed, self.trial)
-                assert found.nonlinearity is not None
-                values = found.nonlinearity(u)
-        except EstimationError as error:
-            axes.text(0.5, 0.5, f"failed: {error}", transform=axes.transAxes, ha="center", wrap=True)
+    def _panel(self, axes: Axes, realised: Realised) -> None:
+        u = np.linspace(*self.interval, 2001)
+        if realised.record is not None:
+            axes.plot(realised.record.u, realised.record.y, label="data", **DATA)
+        axes.plot(u, true_curve(realised.truth, u), label="true μ", **TRUTH)
+        if realised.found is None:
+            say_failed(axes, f"failed: {realised.failure}")
         else:
-            axes.plot(u, values, label="estimate", **ESTIMATE)
+            assert realised.found.nonlinearity is not None
+            with np.errstate(all="ignore"):
+                axes.plot(u, realised.found.nonlinearity(u), label="estimate", **ESTIMATE)
         if self.y_limits is not None:
             axes.set_ylim(*self.y_limits)

@@ -23,7 +23,7 @@ from hident.reports.base import (
     not_numeric,
     unscored,
 )
-from hident.reports.style import LINES, TRUTH
+from hident.reports.style import LINES, TRUTH, symbol
 from hident.reports.tables import LEGEND, SIGNS, intervals
 
 if TYPE_CHECKING:
@@ -33,12 +33,6 @@ if TYPE_CHECKING:
 def _one(results: Results, estimator: str, metric: str) -> Series:
     """The one series of an estimator and a metric; the first if axes give several."""
     return next(results.select(estimator, metric))
-
-
-def _symbol(name: str) -> str:
-    """A parameter's name for a figure: a_1 with its index below the line, any other as it is."""
-    letter, underscore, index = name.partition("_")
-    return f"${letter}_{{{index}}}$" if underscore else name
 
 
 @component("table", "parameters")
@@ -193,7 +187,7 @@ class ParameterFigure(FigureSpec):
             truth = generate(unit.data, results.seed, 0).truth
             if truth is not None and name in truth.values:
                 axes.axhline(truth.values[name], label="truth", **{**TRUTH, "linewidth": 1.0, "zorder": 0})
-            axes.set_title(_symbol(name))
+            axes.set_title(symbol(name))
             axes.set_xticks([])
             axes.set_xlim(-0.6, len(self.estimators) - 0.1)
             axes.ticklabel_format(axis="y", useOffset=False)
@@ -256,7 +250,7 @@ class Gain(FigureSpec):
             look = {**LINES[1], "linestyle": "none", "markerfacecolor": "none", "markersize": 8}
             axes.plot(x, theirs, label="printed", **look)
         axes.axhline(1.0, color="0.4", linewidth=1.0, linestyle=":", label="no gain")
-        axes.set_xticks(x, [_symbol(value) for value in self.of])
+        axes.set_xticks(x, [symbol(value) for value in self.of])
         axes.set_ylabel(self.y_label)
         axes.set_ylim(bottom=0.0)
         axes.legend(loc="lower left")
@@ -310,7 +304,7 @@ class EfficiencyFigure(FigureSpec):
                 axes.plot(x, heights[:, source.of.index(name)], label=estimator, **LINES[i % len(LINES)])
         for name, axes in zip(self.of, grid.flat, strict=False):
             axes.axhline(1.0, color="0.4", linewidth=1.0, linestyle=":", label="Cramér-Rao bound")
-            axes.set_title(_symbol(name))
+            axes.set_title(symbol(name))
             if self.log_y:
                 axes.set_yscale("log")
         for axes in grid[-1]:

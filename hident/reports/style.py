@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Look = dict[str, Any]
+"""Keywords of matplotlib's plot."""
 
 # Dark to light and each with its own dash and marker, so that the lines part without colour too.
-LINES: tuple[dict[str, Any], ...] = (
+LINES: tuple[Look, ...] = (
     {"color": "#1b4f8a", "linestyle": "-", "marker": "o"},
     {"color": "#c1440e", "linestyle": "--", "marker": "s"},
     {"color": "#2e7d5b", "linestyle": "-.", "marker": "^"},
     {"color": "#8e6bb0", "linestyle": (0, (1, 1)), "marker": "D"},
     {"color": "#a67c00", "linestyle": (0, (5, 1, 1, 1, 1, 1)), "marker": "v"},
 )
-TRUTH: dict[str, Any] = {"color": "black", "linewidth": 1.4, "zorder": 4}
-ESTIMATE: dict[str, Any] = {"color": "#c1440e", "linewidth": 1.1, "zorder": 5}
-DATA: dict[str, Any] = {"color": "0.62", "marker": ".", "linestyle": "none", "markersize": 3, "zorder": 1}
+TRUTH: Look = {"color": "black", "linewidth": 1.4, "zorder": 4}
+ESTIMATE: Look = {"color": "#c1440e", "linewidth": 1.1, "zorder": 5}
+DATA: Look = {"color": "0.62", "marker": ".", "linestyle": "none", "markersize": 3, "zorder": 1}
 
+_MARKS = 9
 _SETTINGS: dict[str, Any] = {
     "font.size": 9,
     "axes.labelsize": 9,
@@ -45,3 +53,42 @@ def style() -> Iterator[None]:
     mpl.use("agg")
     with mpl.rc_context(_SETTINGS):  # type: ignore[arg-type]
         yield
+
+
+def symbol(name: str) -> str:
+    """A parameter's name for a figure: a_1 with its index below the line, any other as it is."""
+    letter, underscore, index = name.partition("_")
+    return f"${letter}_{{{index}}}$" if underscore else name
+
+
+def looks(labels: Iterable[str]) -> dict[str, Look]:
+    """One look for each label, the same in all panels of a figure."""
+    return {label: LINES[i % len(LINES)] for i, label in enumerate(dict.fromkeys(labels))}
+
+
+def marked(look: Look, place: int, points: int) -> Look:
+    """The look with a few markers only, which those of other curves do not cover."""
+    step = max(1, points // _MARKS)
+    return {**look, "markevery": (place * step // 5 % step, step)}
+
+
+def panel_grid(count: int, columns: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
+    """A figure of so many panels of a size in inches, row by row."""
+    import matplotlib.pyplot as plt
+
+    columns = min(columns, count)
+    rows = -(-count // columns)
+    size = (width * columns + 0.4, height * rows + 0.5)
+    figure, grid = plt.subplots(rows, columns, squeeze=False, figsize=size)
+    for axes in grid.flat[count:]:
+        axes.set_visible(False)
+    return figure, list(grid.flat[:count])
+
+
+def legend_above(figure: Figure) -> None:
+    """One legend above all panels, in which each label stands once."""
+    entries = (zip(*axes.get_legend_handles_labels(), strict=True) for axes in figure.axes)
+    handles = {label: handle for pairs in entries for handle, label in pairs}
+    if handles:
+        columns = min(4, len(handles))
+        figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=columns)

@@ -1,0 +1,211 @@
+"""How far a method goes: the largest label of an axis up to which a metric stays below a limit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from hident.config.spec import Flag, Interval, Real, component
+from hident.engine.experiment import Plan
+from hident.engine.results import Results, Series
+from hident.ledger.verdicts import Verdict
+from hident.reports.base import (
+    FigureSpec,
+    Misfit,
+    Reference,
+    Table,
+    TableSpec,
+    label_references,
+    not_numeric,
+    unscored,
+)
+from hident.reports.one_trial import true_curve
+from hident.reports.style import LINES, panel_grid
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_POINTS = 2001
+_UP = 10
+"""Matplotlib's marker of a triangle that stands on its point."""
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How far one estimator goes at one label: nan if nowhere, ``open`` if to the last label tried."""
+
+    estimator: str
+    x: float
+    limit: float
+    open: bool
+
+    @property
+    def text(self) -> str:
+        """The limit in words."""
+        if not np.isfinite(self.limit):
+            return "none"
+        return f">= {self.limit:g}" if self.open else f"{self.limit:g}"
+
+
+@component("table", "limit", source="Chen, Hwang, Chang 2009, figure 9b")
+class Limit(TableSpec):
+    """For each label of one axis, the largest label of another up to which a metric stays below a limit.
+
+    The median over the trials must stay below it there and at all smaller labels. Failed trials count as
+    infinite, so that a method cannot gain by failing.
+    """
+
+    x: str
+    """The axis that goes down; its labels are numbers."""
+    along: str
+    """The axis whose largest label is sought; its labels are numbers."""
+    metric: str
+    """Label of the metric."""
+    below: Real
+    """The limit of the metric's median."""
+    estimators: Annotated[tuple[str, ...], Field(min_length=1)]
+    """Names of the estimators, one column each."""
+    at: dict[str, Any] = {}
+    """Labels of the other axes; the first ones by default."""
+
+    def references(self) -> Iterator[Reference]:
+        yield "x", "axis", self.x
+        yield "along", "axis", self.along
+        yield "metric", "metric", self.metric
+        for i, estimator in enumerate(self.estimators):
+            yield ("estimators", i), "estimator", estimator
+        yield from label_references(("at",), self.at)
+
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        yield from not_numeric(plan, "x", self.x, positive=False)
+        yield from not_numeric(plan, "along", self.along, positive=False)
+        for i, estimator in enumerate(self.estimators):
+            yield from unscored(plan, ("estimators", i), estimator, self.metric)
+
+    def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
+        import pandas as pd
+
+        found = {name: self.reaches(results, name) for name in self.estimators}
+        rows = tuple(
+            (f"{x:g}", *(reaches[i].text for reaches in found.values()))
+            for i, x in enumerate(sorted(map(float, results.labels(self.x))))
+        )
+        data = pd.DataFrame(
+            [(r.estimator, r.x, r.limit, r.open) for reaches in found.values() for r in reaches],
+            columns=["estimator", self.x, self.along, "open"],
+        )
+        notes = (
+            f"Largest {self.along} up to which the median of {self.metric} stays below {self.below:g}; "
+            "failed trials count as infinite; >= where it does so at every label tried.",
+        )
+        return Table(self.title, (self.x, *self.estimators), rows, notes, data)
+
+    def reaches(self, results: Results, estimator: str) -> list[Reach]:
+        """How far an estimator goes at every label of ``x``, in increasing order."""
+        along = sorted(results.labels(self.along), key=float)
+        found = []
+        for label in sorted(results.labels(self.x), key=float):
+            medians = [
+                _median(next(results.select(estimator, self.metric, {**at, self.along: far})))
+                for at in [{**self.at, self.x: label}]
+                for far in along
+            ]
+            fails = [i for i, median in enumerate(medians) if not median < self.below]
+            last = (fails[0] if fails else len(along)) - 1
+            limit = float(along[last]) if last >= 0 else float("nan")
+            found.append(Reach(estimator, float(label), limit, not fails))
+        return found
+
+
+def _median(series: Series) -> float:
+    """The median over all trials, a failed one being infinite."""
+    return float(np.median(np.where(np.isfinite(series.values), series.values, np.inf)))
+
+
+@component("figure", "limit", source="Chen, Hwang, Chang 2009, figure 9")
+class LimitFigure(FigureSpec):
+    """How far each estimator goes along one axis against the label of another, as a table of kind limit.
+
+    A first panel shows the true characteristic at each label where an interval is given.
+    """
+
+    table: str
+    """Name of the table of kind limit that it draws."""
+    x_label: str
+    """Label of the abscissa."""
+    y_label: str
+    """Label of the ordinate, with its unit."""
+    log_x: Flag = False
+    """Logarithmic abscissa."""
+    interval: Interval | None = None
+    """Range of the abscissa of a panel with the true characteristics; no such panel by default."""
+    characteristic_labels: tuple[str, str] = ("x", "y")
+    """Labels of that panel's abscissa and ordinate."""
+
+    def references(self) -> Iterator[Reference]:
+        yield "table", "table", self.table
+
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        source = plan.experiment.tables[self.table]
+        if not isinstance(source, Limit):
+            yield "table", f"the table '{self.table}' must be of kind limit, not {source.kind}"
+            return
+        yield from not_numeric(plan, "table", source.x, positive=self.log_x)
+        if self.interval is not None and "nonlinearity" not in plan.units[0].data.system.provides():
+            yield (
+                "interval",
+                f"the system '{plan.units[0].data.system.kind}' has no true nonlinearity to show",
+            )
+
+    def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
+        source = results.plan.experiment.tables[self.table]
+        assert isinstance(source, Limit)
+        count = 1 if self.interval is None else 2
+        figure, grid = panel_grid(count, 2, 4.8 if count == 1 else 3.6, 3.0)
+        if self.interval is not None:
+            self._characteristics(grid[0], results, source, self.interval)
+        self._limits(grid[-1], results, source)
+        return figure
+
+    def _characteristics(
+        self, axes: Axes, results: Results, source: Limit, interval: tuple[float, float]
+    ) -> None:
+        x = np.linspace(*interval, _POINTS)
+        for i, label in enumerate(results.labels(source.x)):
+            unit = next(results.select(labels={**source.at, source.x: label})).unit
+            line = {**LINES[i % len(LINES)], "marker": ""}
+            y = true_curve(unit.data.system.truth(), x)
+            axes.plot(x, y, label=f"{self.x_label} = {label}", **line)
+        axes.set_xlim(*interval)
+        axes.set_xlabel(self.characteristic_labels[0])
+        axes.set_ylabel(self.characteristic_labels[1])
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+
+    def _limits(self, axes: Axes, results: Results, source: Limit) -> None:
+        beyond: list[tuple[float, float]] = []
+        highest = 0.0
+        for i, estimator in enumerate(source.estimators):
+            reaches, line = source.reaches(results, estimator), LINES[i % len(LINES)]
+            heights = [reach.limit for reach in reaches]
+            somewhere = np.any(np.isfinite(heights))
+            label = estimator if somewhere else f"{estimator}, nowhere"
+            axes.plot([reach.x for reach in reaches], heights, label=label, **line)
+            beyond += [(reach.x, reach.limit) for reach in reaches if reach.open]
+            highest = float(np.nanmax([highest, *heights]))
+        if beyond:
+            x, y = zip(*beyond, strict=True)
+            axes.plot(x, y, color="black", linestyle="none", marker=_UP, markersize=9, label="goes beyond")
+        if self.log_x:
+            axes.set_xscale("log")
+        axes.set_ylim(0.0, 1.15 * highest if highest > 0.0 else 1.0)
+        ticks = sorted(map(float, results.labels(source.x)))
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.set_xticks([], minor=True)
+        axes.set_xlabel(self.x_label)
+        axes.set_ylabel(self.y_label)
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
