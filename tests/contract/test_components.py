@@ -51,6 +51,7 @@ COMPONENTS = [
     if cls.__module__.startswith("hident.")
 ]
 AR = {"kind": "ar", "a": [0.5]}
+IID = {"kind": "iid", "distribution": "uniform", "low": -1, "high": 1}
 FIR = {"kind": "fir", "b": [0.0, 0.8, 0.6]}
 CUBIC = {"kind": "polynomial", "coefficients": [0, 1, 0.5, 0.25]}
 
@@ -65,8 +66,10 @@ class Example:
 
     settings: dict[str, Any]
     linear: dict[str, Any] = field(default_factory=lambda: AR)
-    system: str = "hammerstein"
     dt: float | None = None
+    system: dict[str, Any] | str = "hammerstein"
+    excitation: dict[str, Any] = field(default_factory=lambda: IID)
+    samples: int = 300
     invariances: frozenset[str] = frozenset({"scale"})
 
 
@@ -77,6 +80,15 @@ TERMS = {"q0": 1, "alpha": 0.2}
 LEAST_SQUARES = {"kind": "least_squares", "order": 1}
 CONTINUOUS = {"kind": "continuous", "a": [2.5, 1.5], "b": [1, 0.2], "delay": 0.3}
 MOVING: dict[str, Any] = {"linear": CONTINUOUS, "dt": 0.1}
+STEPS: dict[str, Any] = {
+    "system": "wiener",
+    "excitation": {
+        "kind": "multistep",
+        "distribution": "uniform",
+        "limits": [-1.5, 1.5],
+        "switching_time": 1,
+    },
+}
 HORIZONS = {"delay": 0.3, "first": {"n": 2, "m": 1, "horizon": 8}}
 # A new estimator gets all tests of this file by one line here.
 EXAMPLES = [
@@ -126,6 +138,29 @@ EXAMPLES = [
         },
         **MOVING,
     ),
+    Example(
+        {
+            "kind": "iterative_wiener",
+            "nonlinearity": {"kind": "four_segment", "partition": [-0.3, 0.6]},
+            **HORIZONS,
+            "second": {"n": 2, "m": 1},
+        },
+        **MOVING,
+        **STEPS,
+        invariances=frozenset(),
+    ),
+    Example(
+        {"kind": "iterative_wiener", "nonlinearity": {"kind": "polynomial", "degree": 2}, **HORIZONS},
+        **MOVING,
+        **STEPS,
+        invariances=frozenset(),
+    ),
+    Example({"kind": "voros_hammerstein", "n": 1, "m": 2, "delay": 0, "degree": 3}),
+    Example(
+        {"kind": "voros_wiener", "n": 1, "m": 1, "delay": 0, "degree": 3},
+        linear={"kind": "fir", "b": [1.0]},
+        invariances=frozenset(),
+    ),
     Example({"kind": "linear_model", "delay": 0.3, "block": {"n": 2, "m": 1, "horizon": 8}}, **MOVING),
 ]
 
@@ -168,13 +203,15 @@ def _spec(example):
     return spec
 
 
-def _data(example, samples):
+def _data(example, samples=None):
     return Data.model_validate(
         {
-            "samples": samples,
+            "samples": example.samples if samples is None else samples,
             "dt": example.dt,
-            "system": {"kind": example.system, "nonlinearity": CUBIC, "linear": example.linear},
-            "excitation": {"kind": "iid", "distribution": "uniform", "low": -1, "high": 1},
+            "system": example.system
+            if isinstance(example.system, dict)
+            else {"kind": example.system, "nonlinearity": CUBIC, "linear": example.linear},
+            "excitation": example.excitation,
             "noise": {"kind": "white", "std": 0.01},
         }
     )
@@ -283,7 +320,7 @@ def test_every_estimator_has_an_example():
 @_each_example()
 class TestEveryEstimator:
     def test_leaves_the_record_as_it_is(self, example):
-        record = generate(_data(example, 300), 1, 0)
+        record = generate(_data(example), 1, 0)
         u, y = record.u.copy(), record.y.copy()
         record.u.setflags(write=False)
         record.y.setflags(write=False)
@@ -292,14 +329,14 @@ class TestEveryEstimator:
         assert np.array_equal(record.y, y)
 
     def test_does_not_modify_the_points_that_it_is_evaluated_at(self, example):
-        found, _ = _fit(example, generate(_data(example, 300), 1, 0))
+        found, _ = _fit(example, generate(_data(example), 1, 0))
         if found.nonlinearity is not None:
             points = np.linspace(0.9, -0.9, 7)
             points.setflags(write=False)
             assert found.nonlinearity(points).shape == points.shape
 
     def test_gives_the_same_bytes_for_the_same_stream(self, example):
-        data, spec = _data(example, 300), _spec(example)
+        data, spec = _data(example), _spec(example)
         found = []
         for _ in range(2):
             result = estimate(data, Job(spec, ()), generate(data, 1, 0), 1, 0)
@@ -308,7 +345,7 @@ class TestEveryEstimator:
         _same(*found)
 
     def test_provides_what_it_says(self, example):
-        found, _ = _fit(example, generate(_data(example, 300), 1, 0))
+        found, _ = _fit(example, generate(_data(example), 1, 0))
         parts = {part: getattr(found, part) for part in ("nonlinearity", "linear", "continuous", "response")}
         given = {name for name, part in parts.items() if part is not None}
         assert given | {f"value {name}" for name in found.values} == _spec(example).provides()
@@ -334,8 +371,8 @@ class TestEveryEstimator:
 
     @pytest.mark.parametrize("wrong", [np.nan, np.inf])
     def test_an_output_that_is_not_finite_never_gives_a_curve_of_numbers(self, example, wrong):
-        sound = generate(_data(example, 300), 1, 0)
-        record = replace(sound, y=np.where(np.arange(300) == 100, wrong, sound.y))
+        sound = generate(_data(example), 1, 0)
+        record = replace(sound, y=np.where(np.arange(len(sound)) == 100, wrong, sound.y))
         try:
             found, curve = _fit(example, record)
         except EstimationError:
@@ -345,17 +382,20 @@ class TestEveryEstimator:
         assert np.isfinite(list(found.values.values())).all()
 
     def test_a_constant_record_is_estimated_or_fails_as_a_result(self, example):
-        truth = generate(_data(example, 300), 1, 0).truth
+        truth = generate(_data(example), 1, 0).truth
         for u, y in [(0.5, 0.0), (0.5, 1.0), (0.0, 0.0)]:
             try:
-                _fit(example, Record(np.full(300, u), np.full(300, y), example.dt, truth))
+                _fit(
+                    example,
+                    Record(np.full(example.samples, u), np.full(example.samples, y), example.dt, truth),
+                )
             except EstimationError as error:
                 assert str(error)
 
 
 @_each_example("scale")
 def test_the_scale_of_the_output(example):
-    record = generate(_data(example, 300), 1, 0)
+    record = generate(_data(example), 1, 0)
     found, curve = _fit(example, record)
     scaled, scaled_curve = _fit(example, replace(record, y=8.0 * record.y))
     if curve is not None:
@@ -366,7 +406,7 @@ def test_the_scale_of_the_output(example):
 
 @_each_example("order")
 def test_the_order_of_the_samples(example):
-    record = generate(_data(example, 300), 1, 0)
-    shuffled = np.random.default_rng(2).permutation(300)
+    record = generate(_data(example), 1, 0)
+    shuffled = np.random.default_rng(2).permutation(len(record))
     other = Record(record.u[shuffled], record.y[shuffled], record.dt, record.truth)
     _same(_fit(example, record), _fit(example, other), 1e-10)
