@@ -53,6 +53,21 @@ def forward(x: Array, e: Array, lower: Array | float, upper: Array | float) -> A
     return np.asarray(np.clip(x, 0.0, upper) + np.maximum(x - upper, 0.0) / e[2] + negative)
 
 
+def forward_slope(x: Array, e: Array, lower: float, upper: float) -> Array:
+    """The slope dy/dx of :func:`forward` at ``x``; at a bend, that of the segment to the right."""
+    pieces = [x < e[1] * lower, x < 0.0, x < upper]
+    return np.select(pieces, [1.0 / e[0], 1.0 / e[1], 1.0], 1.0 / e[2])
+
+
+def forward_by_slopes(x: Array, e: Array, lower: float, upper: float) -> Array:
+    """The derivatives of :func:`forward` by e_-2, e_-1 and e_2 at ``x`` (N,), shape (N, 3)."""
+    bend = e[1] * lower
+    # Beyond the bend, e_-1 moves the bend alone.
+    near = np.where(x < bend, -lower / e[0], -np.minimum(x, 0.0) / e[1] ** 2)
+    beyond = np.minimum(x - bend, 0.0)
+    return np.column_stack([-beyond / e[0] ** 2, near, -np.maximum(x - upper, 0.0) / e[2] ** 2])
+
+
 @dataclass(frozen=True)
 class FourSegment:
     """The nonlinearity y(v) of four segments, (32) with x = ``gain`` v."""

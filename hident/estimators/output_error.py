@@ -15,13 +15,14 @@ needs a start near it, such as theirs. Equation numbers are those of their paper
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from hident.errors import EstimationError
 from hident.estimators.base import require_finite
 from hident.estimators.bilinear import lengths
+from hident.estimators.four_segment import FourSegment, forward, forward_by_slopes, forward_slope
 from hident.estimators.least_squares import ILL_CONDITIONED
 from hident.records import Array
 from hident.systems.continuous import ContinuousTransferFunction
@@ -34,40 +35,6 @@ _STALLS = 0.5
 """The same where no step descends, as can be at a sample that lies on a bend of the nonlinearity."""
 _ROUNDING = 1e-12
 """Length of a step, as a change of the output relative to it, up to which it is rounding."""
-
-
-@dataclass(frozen=True, eq=False)
-class FourSegments:
-    """The four-segment nonlinearity of eq. (32) with its partition points ``lower`` < 0 < ``upper`` in y.
-
-    ``slopes`` are e_-2, e_-1 and e_2 of its inverse (13), all positive.
-    """
-
-    lower: float
-    upper: float
-    slopes: tuple[float, float, float]
-
-    def __call__(self, x: Array) -> Array:
-        """The output y at ``x``, elementwise."""
-        e_far, e_near, e_2 = self.slopes
-        bend = e_near * self.lower
-        positive = np.clip(x, 0.0, self.upper) + np.maximum(x - self.upper, 0.0) / e_2
-        return np.asarray(positive + np.clip(x, bend, 0.0) / e_near + np.minimum(x - bend, 0.0) / e_far)
-
-    def by_x(self, x: Array) -> Array:
-        """The slope at ``x``, elementwise; at a bend, that of the segment to the right."""
-        e_far, e_near, e_2 = self.slopes
-        pieces = [x < e_near * self.lower, x < 0.0, x < self.upper]
-        return np.select(pieces, [1.0 / e_far, 1.0 / e_near, 1.0], 1.0 / e_2)
-
-    def by_slopes(self, x: Array) -> Array:
-        """The derivatives by e_-2, e_-1 and e_2 at ``x`` (N,), shape (N, 3)."""
-        e_far, e_near, e_2 = self.slopes
-        bend = e_near * self.lower
-        beyond = np.minimum(x - bend, 0.0)
-        # Beyond the bend, e_-1 moves the bend alone.
-        near = np.where(x < bend, -self.lower / e_far, -np.minimum(x, 0.0) / e_near**2)
-        return np.column_stack([-beyond / e_far**2, near, -np.maximum(x - self.upper, 0.0) / e_2**2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +217,7 @@ def refine_hammerstein(
 
 
 def refine_wiener(
-    u: Array, y: Array, block: ContinuousTransferFunction, nonlinearity: FourSegments, dt: float
+    u: Array, y: Array, block: ContinuousTransferFunction, nonlinearity: FourSegment, dt: float
 ) -> Refinement:
     """Fit y = f(B e^(-ds)/A u) + white noise, f being the four-segment function of eq. (32).
 
@@ -260,8 +227,8 @@ def refine_wiener(
         The held input, and the output; the system is at rest before the first sample.
     block : ContinuousTransferFunction
         The start; its delay is kept.
-    nonlinearity : FourSegments
-        The start; its partition points are kept.
+    nonlinearity : FourSegment
+        The start, with the gain 1; its partition points are kept.
     dt : float
         Sampling interval.
 
@@ -278,17 +245,18 @@ def refine_wiener(
     """
     require_finite(y)
     n, p = len(block.a), len(block.a) + len(block.b)
+    points = nonlinearity.lower, nonlinearity.upper
 
     def model(theta: Array) -> _Point | None:
-        at, slopes = _stable(theta[:n], theta[n:p], block.delay), theta[p:]
-        if at is None or not np.all(slopes > 0.0):
+        at, e = _stable(theta[:n], theta[n:p], block.delay), theta[p:]
+        if at is None or not np.all(e > 0.0):
             return None
-        f = replace(nonlinearity, slopes=tuple(slopes.tolist()))
         x = at.respond(u, dt)
-        by_block = f.by_x(x)[:, None] * sensitivities(at, u, dt)
-        return _Point(theta, slopes, y - f(x), np.hstack([by_block, f.by_slopes(x)]))
+        by_block = forward_slope(x, e, *points)[:, None] * sensitivities(at, u, dt)
+        jacobian = np.hstack([by_block, forward_by_slopes(x, e, *points)])
+        return _Point(theta, e, y - forward(x, e, *points), jacobian)
 
-    start = np.array([*block.a, *block.b, *nonlinearity.slopes])
+    start = np.array([*block.a, *block.b, *nonlinearity.e])
     found, covariance, iterations = _gauss_newton(model, start, float(np.linalg.norm(y)))
     refined = _stable(found.theta[:n], found.theta[n:p], block.delay)
     assert refined is not None

@@ -8,15 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hident.errors import EstimationError
-from hident.estimators.output_error import FourSegments, refine_hammerstein, refine_wiener, sensitivities
+from hident.estimators.four_segment import FourSegment, forward, forward_by_slopes, forward_slope
+from hident.estimators.output_error import refine_hammerstein, refine_wiener, sensitivities
 from hident.systems.continuous import ContinuousTransferFunction
 
 DT = 0.1
 BLOCK = ContinuousTransferFunction((1.0, -1.0), (4.0, 4.0, 3.0), 2.0)
 NEAR_BLOCK = ContinuousTransferFunction((1.0, -0.8), (3.6, 4.3, 2.6), 2.0)
 C = np.array([2.0, 0.1, -0.3, -0.5])
-BENT = FourSegments(-0.8, 0.9, (0.6, 1.5, 4.0))
-NEAR_BENT = replace(BENT, slopes=(0.8, 1.2, 3.0))
+BENT = FourSegment((0.6, 1.5, 4.0), -0.8, 0.9)
+NEAR_BENT = replace(BENT, e=(0.8, 1.2, 3.0))
 # A small case for Monte Carlo.
 LAG = ContinuousTransferFunction((1.0,), (0.8,))
 LAG_C = np.array([1.0, 0.4])
@@ -55,7 +56,7 @@ class TestRecoveryWithoutNoise:
         found = refine_wiener(u, y, NEAR_BLOCK.scaled(1.7), NEAR_BENT, DT)
         np.testing.assert_allclose(found.block.a, BLOCK.a, rtol=1e-9)
         np.testing.assert_allclose(found.block.b, BLOCK.scaled(2.0).b, rtol=1e-9)
-        np.testing.assert_allclose(found.coefficients, BENT.slopes, rtol=1e-9)
+        np.testing.assert_allclose(found.coefficients, BENT.e, rtol=1e-9)
         assert found.iterations <= 10
 
     def test_a_start_whose_first_steps_are_unstable(self):
@@ -111,11 +112,11 @@ class TestDerivatives:
 
     def test_of_the_four_segments(self):
         # No point within a difference of a bend.
-        x = np.linspace(-3.0, 3.0, 100)
+        x, e, points = np.linspace(-3.0, 3.0, 100), np.array(BENT.e), (BENT.lower, BENT.upper)
         slope = (BENT(x + 1e-6) - BENT(x - 1e-6)) / 2e-6
-        np.testing.assert_allclose(BENT.by_x(x), slope, rtol=1e-6)
-        for column, e in zip(BENT.by_slopes(x).T, 1e-6 * np.eye(3), strict=True):
-            above, below = (replace(BENT, slopes=tuple(np.array(BENT.slopes) + s * e))(x) for s in (1, -1))
+        np.testing.assert_allclose(forward_slope(x, e, *points), slope, rtol=1e-6)
+        for column, step in zip(forward_by_slopes(x, e, *points).T, 1e-6 * np.eye(3), strict=True):
+            above, below = (forward(x, e + s * step, *points) for s in (1, -1))
             np.testing.assert_allclose(column, (above - below) / 2e-6, rtol=0, atol=1e-6)
 
     def test_no_step_is_left_at_the_fit(self):
@@ -133,7 +134,7 @@ class TestDerivatives:
 
 
 def test_four_segments_invert_the_inverse():
-    e_far, e_near, e_2 = BENT.slopes
+    e_far, e_near, e_2 = BENT.e
     y = np.linspace(-2.0, 2.0, 81)
     x = np.select(
         [y < BENT.lower, y < 0.0, y < BENT.upper],
@@ -182,7 +183,7 @@ def test_it_is_more_accurate_than_its_start(trials):
 def test_wiener_standard_errors_cover_the_truth():
     u = held(200, seed=3, std=2.5, hold=10)
     clean, start = BENT(LAG.respond(u, DT)), replace(LAG, a=(0.7,))
-    truth = np.array([*LAG.a, *LAG.b, *BENT.slopes])
+    truth = np.array([*LAG.a, *LAG.b, *BENT.e])
     inside = []
     for seed in range(200):
         found = refine_wiener(u, clean + noise(clean, seed, ratio=0.05), start, NEAR_BENT, DT)
@@ -199,7 +200,7 @@ class TestErrors:
     def test_a_start_with_a_falling_slope(self):
         u = held(200)
         with pytest.raises(EstimationError, match=r"^the start is unstable, or a slope is not positive$"):
-            refine_wiener(u, u, BLOCK, replace(BENT, slopes=(1.0, -1.0, 1.0)), DT)
+            refine_wiener(u, u, BLOCK, replace(BENT, e=(1.0, -1.0, 1.0)), DT)
 
     def test_a_start_without_static_gain(self):
         values = basis(held(200))
