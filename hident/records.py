@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from hident.systems.linear import TransferFunction
 
 Array = NDArray[np.float64]
+
+# Times written with a few digits are uneven by their rounding.
+_UNEVEN = 1e-3
+
 Characteristic = Callable[[Array], Array]
 Response = Callable[[Array, float], Array]
 """The noise-free output (N,) to an input (N,), given the sampling interval."""
@@ -114,6 +118,28 @@ class Record:
 
     def __len__(self) -> int:
         return len(self.u)
+
+    @classmethod
+    def at(cls, t: Array, u: Array, y: Array) -> Record:
+        """The record of measurements at the times ``t`` (N,), which must be evenly spaced.
+
+        Raises
+        ------
+        ValueError
+            If there are fewer than two samples, or the sampling is not uniform.
+        """
+        if len(t) < 2:
+            raise ValueError(f"needs at least 2 samples, not {len(t)}")
+        intervals = np.diff(t)
+        dt = float(t[-1] - t[0]) / len(intervals)
+        worst = int(np.argmax(np.abs(intervals - dt)))
+        if not abs(intervals[worst] - dt) <= _UNEVEN * dt:
+            raise ValueError(
+                f"the sampling is not uniform: from t = {t[worst]:g} to {t[worst + 1]:g} the interval is "
+                f"{intervals[worst]:g}, and {dt:g} on average (allowed: {_UNEVEN:g} of it off); "
+                "interpolate the record to even times first"
+            )
+        return cls(u, y, dt)
 
     @cached_property
     def order(self) -> NDArray[np.intp]:
