@@ -35,6 +35,11 @@ def inverse(y: Array, e: Array, lower: float, upper: float) -> Array:
     return np.asarray(y - segments(y, lower, upper) @ (1.0 - e))
 
 
+def inverse_slope(y: Array, e: Array, lower: float, upper: float) -> Array:
+    """The slope dx/dy of :func:`inverse` at ``y``; at a break point, that of the segment to the right."""
+    return np.select([y < lower, y < 0.0, y < upper], [e[0], e[1], 1.0], e[2])
+
+
 def forward(x: Array, e: Array, lower: Array | float, upper: Array | float) -> Array:
     """The output y that belongs to the internal variable ``x``: the inverse of :func:`inverse`.
 

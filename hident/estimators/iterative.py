@@ -96,6 +96,17 @@ class IterativeSpec(MovingHorizonSpec):
         if self.second is not None:
             self.second.check(n, dt, self.start, gain=False)
 
+    def error_names(self, lowest: int) -> list[str]:
+        """The names of the standard errors of a_1, ... and of b_i from b_lowest on."""
+        n = self.largest_n
+        return [f"se_a_{i}" for i in range(1, n + 1)] + [f"se_b_{i}" for i in range(lowest, n)]
+
+    def errors_by_name(self, a: Array, b: Array, lowest: int) -> dict[str, float]:
+        """The standard errors of a_1, ... and b_lowest, ... by name, zero where there is no parameter."""
+        errors = dict.fromkeys(self.error_names(lowest), 0.0)
+        errors |= {f"se_a_{i}": float(error) for i, error in enumerate(a, start=1)}
+        return errors | {f"se_b_{i}": float(error) for i, error in enumerate(b, start=lowest)}
+
     def stage_names(self) -> list[str]:
         """The names of the values of both stages' linear blocks and regressions."""
         letters = [f"a_{i}" for i in range(1, self.largest_n + 1)] + [f"b_{i}" for i in range(self.largest_n)]

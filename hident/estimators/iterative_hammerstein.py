@@ -52,24 +52,14 @@ class IterativeHammerstein(IterativeSpec):
 
     def provides(self) -> frozenset[str]:
         names = [*self.stage_names(), *(f"c_{j}" for j in range(1, self.nonlinearity.size + 1))]
-        names += [*self._error_names(), "iterations", "converged"]
+        names += [*self.error_names(1), "iterations", "converged"]
         if isinstance(self.nonlinearity, ThreeSegment):
             names += ["u_-1", "u_1"]
         return frozenset({"nonlinearity", "continuous", "response"} | {f"value {name}" for name in names})
 
-    def _error_names(self) -> list[str]:
-        n = self.largest_n
-        return [f"se_a_{i}" for i in range(1, n + 1)] + [f"se_b_{i}" for i in range(1, n)]
-
     def check_record(self, record: Record) -> None:
-        if isinstance(self.nonlinearity, ThreeSegment) and self.nonlinearity.partition != "search":
-            low, high = float(record.u.min()), float(record.u.max())
-            lower, upper = self.nonlinearity.partition
-            if not (low < lower and upper < high):
-                raise EstimationError(
-                    f"the partition points [{lower:g}, {upper:g}] must lie inside the inputs' range "
-                    f"[{low:g}, {high:g}]: move them, or let 'partition: search' find them"
-                )
+        if isinstance(self.nonlinearity, ThreeSegment):
+            self.nonlinearity.require_inside(record.u)
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         dt = self.sampling_interval(record)
@@ -192,9 +182,7 @@ class IterativeHammerstein(IterativeSpec):
         residual = record.y - block.respond(first.function(record.u), dt)
         found = standard_errors(derivative, residual)
         n = len(block.a)
-        errors = dict.fromkeys(self._error_names(), 0.0)
-        errors |= {f"se_a_{i}": float(error) for i, error in enumerate(found[:n], start=1)}
-        return errors | {f"se_b_{i}": float(e) for i, e in enumerate(found[n:][: len(block.b) - 1], start=1)}
+        return self.errors_by_name(found[:n], found[n : n + len(block.b) - 1], 1)
 
 
 def _structure(block: ContinuousTransferFunction) -> tuple[int, int, float]:

@@ -16,6 +16,7 @@ from hident.errors import EstimationError
 from hident.estimators.iterative import IterativeSpec, multicollinearity, padded, second_horizon
 from hident.estimators.linear_transform import LinearFit, StageSpec
 from hident.estimators.searches import StructureSearch
+from hident.estimators.wiener_errors import wiener_errors
 from hident.estimators.wiener_iteration import Rule, Wiener
 from hident.estimators.wiener_stage import FourSegmentSpec, PolynomialSpec, WienerStage, first_stage
 from hident.records import Array, Characteristic, Estimate, Record
@@ -91,6 +92,8 @@ class IterativeWiener(IterativeSpec):
 
     def provides(self) -> frozenset[str]:
         names = [*self.stage_names(), *self.nonlinearity.names(), "iterations", "converged"]
+        if isinstance(self.nonlinearity, FourSegmentSpec):
+            names += self.error_names(0)
         return frozenset({"nonlinearity", "continuous", "response"} | {f"value {name}" for name in names})
 
     def check_record(self, record: Record) -> None:
@@ -107,7 +110,7 @@ class IterativeWiener(IterativeSpec):
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         dt = self.sampling_interval(record)
         self.check_record(record)
-        first = self._first(record, dt, self.first, self.delay)
+        wiener, first = self._first(record, dt, self.first, self.delay)
         second, search = self._second(record, dt, first)
         for _ in range(_ROUNDS if self.automatic else 0):
             assert second is not None  # by validation
@@ -115,19 +118,18 @@ class IterativeWiener(IterativeSpec):
             if _structure(found) == _structure(first.block):
                 break
             stage = self.first.model_copy(update={"n": len(found.a), "m": len(found.b) - 1})
-            first = self._first(record, dt, stage, found.delay)
+            wiener, first = self._first(record, dt, stage, found.delay)
             second, search = self._second(record, dt, first)
-        return self._estimate(record, dt, first, second, search)
+        return self._estimate(record, dt, wiener, first, second, search)
 
-    def _first(self, record: Record, dt: float, stage: StageSpec, delay: float) -> WienerStage:
+    def _first(self, record: Record, dt: float, stage: StageSpec, delay: float) -> tuple[Wiener, WienerStage]:
         try:
             horizons = stage.horizons(len(record), dt, self.start, self._parameters(stage))
         except ValueError as error:
             raise EstimationError(str(error)) from None
         wiener = Wiener.of(record.u, record.y, dt, m=stage.m, delay=delay, horizons=horizons)
-        return first_stage(
-            wiener, self.nonlinearity, Rule(self.weight, self.tolerance, self.max_iterations), self.start
-        )
+        rule = Rule(self.weight, self.tolerance, self.max_iterations)
+        return wiener, first_stage(wiener, self.nonlinearity, rule, self.start)
 
     def _second(
         self, record: Record, dt: float, first: WienerStage
@@ -145,6 +147,7 @@ class IterativeWiener(IterativeSpec):
         self,
         record: Record,
         dt: float,
+        wiener: Wiener,
         first: WienerStage,
         second: LinearFit | None,
         search: StructureSearch | None,
@@ -160,6 +163,7 @@ class IterativeWiener(IterativeSpec):
             **multicollinearity(first.phi if second is None else second.phi),
             **multicollinearity(first.phi, "first_"),
             **first.values,
+            **self._errors(wiener, first, second),
             "n": float(len(block.a)),
             "m": float(len(block.b) - 1),
             "delay": block.delay,
@@ -184,6 +188,15 @@ class IterativeWiener(IterativeSpec):
             values=values,
             details=details,
         )
+
+    def _errors(self, wiener: Wiener, first: WienerStage, second: LinearFit | None) -> dict[str, float]:
+        """The standard errors by name, zero where the block has no parameter; none for a polynomial."""
+        if not isinstance(self.nonlinearity, FourSegmentSpec):
+            return {}
+        e = np.array([first.values[name] for name in self.nonlinearity.coefficients()])
+        points = first.values["y_-1"], first.values["y_1"]
+        found = wiener_errors(wiener, first.phi, first.block, e, points, self.weight, second)
+        return self.errors_by_name(*found, 0)
 
 
 def _structure(block: ContinuousTransferFunction) -> tuple[int, int, float]:
