@@ -274,13 +274,13 @@ def _unknown_names(experiment: Experiment, axes: Sequence[Axis]) -> Iterator[Pro
     for i, cell in enumerate(experiment.published.cells if experiment.published else ()):
         at = ("published", "cells", i)
         yield from unknown((*at, "estimator"), "estimator", cell.estimator, known["estimator"])
-        for quantity, metric in cell.pairs():
+        for quantity, label in cell.pairs():
             where = ("quantities", quantity) if cell.quantities else ("metric",)
-            yield from unknown((*at, *where), "metric", metric, known["metric"])
-        for axis, label in cell.at.items():
+            yield from unknown((*at, *where), "metric", label, known["metric"])
+        for axis, chosen in cell.at.items():
             yield from unknown((*at, "at"), "axis", axis, known["axis"])
             yield from unknown(
-                (*at, "at", axis), "label", str(label), known.get(f"label of {axis}", [str(label)])
+                (*at, "at", axis), "label", str(chosen), known.get(f"label of {axis}", [str(chosen)])
             )
         quantity_field = "quantities" if cell.quantities else "quantity"
         texts = [("row", cell.row), *((quantity_field, quantity) for quantity, _ in cell.pairs())]

@@ -32,6 +32,8 @@ StaticFunction = PolynomialFunction | ThreeSegmentFunction
 
 # Offsets of a refinement, in steps of the grid before it.
 _FINER = np.array([-0.5, -0.25, 0.0, 0.25, 0.5])
+# Levels times partition pairs that the search evaluates at once.
+_AT_ONCE = 2**17
 
 
 class Polynomial(Spec):
@@ -70,6 +72,22 @@ class ThreeSegment(Spec):
                 f"must be [u_-1, u_1] with u_-1 < 0 < u_1, not [{partition[0]:g}, {partition[1]:g}]"
             )
         return partition
+
+    def require_inside(self, u: Array) -> None:
+        """Raise EstimationError unless the inputs (N,) have room for the partition points."""
+        low, high = float(u.min()), float(u.max())
+        if not low < 0.0 < high:
+            raise EstimationError(
+                f"the input ranges from {low:g} to {high:g}: "
+                "partition points need inputs on both sides of zero"
+            )
+        if self.partition != "search":
+            lower, upper = self.partition
+            if not (low < lower and upper < high):
+                raise EstimationError(
+                    f"the partition points [{lower:g}, {upper:g}] must lie inside the inputs' range "
+                    f"[{low:g}, {high:g}]: move them, or let 'partition: search' find them"
+                )
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +137,7 @@ def first_stage(
     Raises
     ------
     EstimationError
-        If the regression is singular.
+        If the regression is singular, or the input does not suit the partition points.
     ValueError
         If the horizons do not suit the record.
     """
@@ -144,6 +162,7 @@ def first_stage(
     if isinstance(nonlinearity, Polynomial):
         functions = powers(levels, nonlinearity.degree)
     else:
+        nonlinearity.require_inside(u)
         if nonlinearity.partition == "search":
             partition = _search(levels, nonlinearity, lambda functions: iterated(functions)[1].loss)
             lower, upper = partition.best
@@ -176,19 +195,20 @@ def _search(levels: Array, spec: ThreeSegment, losses: Callable[[Array], Array])
     Raises
     ------
     EstimationError
-        If the input does not take both signs, or every pair gives a singular regression.
+        If every pair gives a singular regression.
     """
     low, high = float(levels.min()), float(levels.max())
-    if not low < 0.0 < high:
-        raise EstimationError(
-            f"the input ranges from {low:g} to {high:g}: partition points need inputs on both sides of zero"
-        )
 
     def evaluated(lower: Array, upper: Array) -> Array:
-        pairs = np.meshgrid(lower, upper, indexing="ij")
-        functions = three_segments(levels[:, None, None], *pairs).reshape(len(levels), -1, spec.size)
-        loss = losses(functions).reshape(len(lower), len(upper))
-        return np.where(np.isfinite(loss), loss, np.nan)
+        # Long records are searched in pieces, so that memory does not grow with the number of pairs.
+        pieces = min(len(lower), -(-len(levels) * len(lower) * len(upper) // _AT_ONCE))
+        loss = []
+        for some in np.array_split(lower, pieces):
+            pairs = np.meshgrid(some, upper, indexing="ij")
+            functions = three_segments(levels[:, None, None], *pairs).reshape(len(levels), -1, spec.size)
+            loss.append(losses(functions).reshape(len(some), len(upper)))
+        found = np.concatenate(loss)
+        return np.where(np.isfinite(found), found, np.nan)
 
     inner = np.arange(1, spec.points + 1) / (spec.points + 1)
     lower, upper = low * inner, high * inner
@@ -202,7 +222,6 @@ def _search(levels: Array, spec: ThreeSegment, losses: Callable[[Array], Array])
         best, least = (float(lower[i]), float(upper[j])), float(loss[i, j])
         if refinement < spec.refinements:
             finer = _FINER / 4.0**refinement
-            lower = np.unique(np.clip(best[0] + steps[0] * finer, low, 0.0))
-            upper = np.unique(np.clip(best[1] + steps[1] * finer, 0.0, high))
+            lower, upper = best[0] + steps[0] * finer, best[1] + steps[1] * finer
             loss = evaluated(lower, upper)
     return PartitionSearch(*grid, first, best, least)

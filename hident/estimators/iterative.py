@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from hident.config.spec import Count, Real
+from hident.config.spec import Count, Flag, Real
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, require_finite
 from hident.estimators.linear_transform import SecondStageSpec, StageSpec
@@ -32,6 +32,10 @@ def multicollinearity(phi: Array, prefix: str = "") -> dict[str, float]:
         f"{prefix}vif_max": float(factors.max()),
         f"{prefix}condition": float(scaled_condition(phi)),
     }
+
+
+# Section 5's loop ends after this many rounds at the latest.
+ROUNDS = 5
 
 
 class MovingHorizonSpec(EstimatorSpec):
@@ -77,22 +81,34 @@ class IterativeSpec(MovingHorizonSpec):
     """The first stage, which finds the static function."""
     second: SecondStageSpec | None = None
     """The second stage, which finds the linear block; without it the first stage's block is the estimate."""
+    automatic: Flag = False
+    """Section 5's loop: the structure that the second stage finds is the first stage's until it repeats."""
     tolerance: Annotated[Real, Field(gt=0)]
     """The iteration ends when the parameters change by less than this, relative to their norm."""
     max_iterations: Annotated[Count, Field(ge=1)]
     """The most iterations."""
+
+    @model_validator(mode="after")
+    def _loop_needs_a_search(self) -> Self:
+        if self.automatic and (self.second is None or self.second.structure != "search"):
+            raise ValueError("'automatic' needs a second stage with 'structure: search'")
+        return self
 
     @property
     def largest_n(self) -> int:
         """The largest order n among the stages, up to which parameters are named."""
         return max(self.first.n, 0 if self.second is None else self.second.most)
 
-    def first_parameters(self) -> int:
-        """The number of parameters of the first stage."""
+    def function_parameters(self) -> int:
+        """The number of parameters of the first stage besides a_1, ..., a_n and b_1, ..., b_m."""
         raise NotImplementedError
 
     def check_horizons(self, n: int, dt: float) -> None:
-        self.first.horizons(n, dt, self.start, self.first_parameters())
+        stages = [self.first]
+        if self.automatic:
+            stages.append(self.first.of_structure(self.largest_n, self.largest_n - 1))
+        for stage in stages:
+            stage.horizons(n, dt, self.start, stage.n + stage.m + self.function_parameters())
         if self.second is not None:
             self.second.check(n, dt, self.start, gain=False)
 
@@ -112,6 +128,11 @@ class IterativeSpec(MovingHorizonSpec):
         letters = [f"a_{i}" for i in range(1, self.largest_n + 1)] + [f"b_{i}" for i in range(self.largest_n)]
         names = [*letters, "vif_mean", "vif_max", "condition"]
         return [*names, *(f"first_{name}" for name in names), "n", "m", "delay", "settling_time", "horizon"]
+
+
+def structure_of(block: ContinuousTransferFunction) -> tuple[int, int, float]:
+    """n, m and the delay of a block."""
+    return len(block.a), len(block.b) - 1, block.delay
 
 
 def second_horizon(

@@ -8,22 +8,27 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Discriminator, Field, model_validator
+from pydantic import Discriminator, Field
 
-from hident.config.spec import Count, Flag, Real, component
+from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
 from hident.estimators.hammerstein_stage import FirstStage, Polynomial, ThreeSegment, first_stage
-from hident.estimators.iterative import IterativeSpec, multicollinearity, padded, second_horizon
+from hident.estimators.iterative import (
+    ROUNDS,
+    IterativeSpec,
+    multicollinearity,
+    padded,
+    second_horizon,
+    structure_of,
+)
 from hident.estimators.linear_transform import LinearFit, StageSpec
 from hident.estimators.sandwich import influence, standard_errors
 from hident.estimators.searches import StructureSearch
 from hident.estimators.static_functions import ThreeSegmentFunction
 from hident.records import Estimate, Record
-from hident.systems.continuous import ContinuousTransferFunction
 
-# Section 5: the polynomial that a first structure is found with, and the most rounds of the loop.
+# Section 5: the polynomial that a first structure is found with.
 _GUESS = Polynomial(kind="polynomial", degree=5)
-_ROUNDS = 5
 # Section 4.4: the share of the settling time that the second stage's horizons last.
 _SHARE = 0.5
 
@@ -38,17 +43,10 @@ class IterativeHammerstein(IterativeSpec):
     """The iteration ends when the parameters change by less than this, relative to their norm."""
     max_iterations: Annotated[Count, Field(ge=1)] = 100
     """The most iterations."""
-    automatic: Flag = False
-    """Section 5's loop: the structure that the second stage finds is the first stage's until it repeats."""
 
-    @model_validator(mode="after")
-    def _loop_needs_a_search(self) -> IterativeHammerstein:
-        if self.automatic and (self.second is None or self.second.structure != "search"):
-            raise ValueError("'automatic' needs a second stage with 'structure: search'")
-        return self
-
-    def first_parameters(self) -> int:
-        return self.first.n + self.first.m + self.nonlinearity.size
+    def function_parameters(self) -> int:
+        size = self.nonlinearity.size
+        return max(size, _GUESS.size) if self.automatic else size
 
     def provides(self) -> frozenset[str]:
         names = [*self.stage_names(), *(f"c_{j}" for j in range(1, self.nonlinearity.size + 1))]
@@ -106,14 +104,13 @@ class IterativeHammerstein(IterativeSpec):
         """The automatic loop of section 5: a polynomial finds the first structure."""
         first = self._first(record, dt, _GUESS, self.first, self.delay)
         second, search = self._second(record, dt, first)
-        for _ in range(_ROUNDS):
-            assert second is not None
-            block = second.block
-            stage = self.first.model_copy(update={"n": len(block.a), "m": len(block.b) - 1})
-            first = self._first(record, dt, self.nonlinearity, stage, block.delay)
+        for _ in range(ROUNDS):
+            assert second is not None  # by validation
+            n, m, delay = structure_of(second.block)
+            first = self._first(record, dt, self.nonlinearity, self.first.of_structure(n, m), delay)
             second, search = self._second(record, dt, first)
             assert second is not None
-            if _structure(second.block) == _structure(block):
+            if structure_of(second.block) == (n, m, delay):
                 break
         return first, second, search
 
@@ -183,7 +180,3 @@ class IterativeHammerstein(IterativeSpec):
         found = standard_errors(derivative, residual)
         n = len(block.a)
         return self.errors_by_name(found[:n], found[n : n + len(block.b) - 1], 1)
-
-
-def _structure(block: ContinuousTransferFunction) -> tuple[int, int, float]:
-    return len(block.a), len(block.b), block.delay

@@ -6,14 +6,21 @@ Chen, Hwang and Chang 2009. Stage 1 finds the nonlinearity, stage 2 the linear b
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Discriminator, Field, model_validator
+from pydantic import Discriminator, Field
 
-from hident.config.spec import Count, Flag, Real, component
+from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
-from hident.estimators.iterative import IterativeSpec, multicollinearity, padded, second_horizon
+from hident.estimators.iterative import (
+    ROUNDS,
+    IterativeSpec,
+    multicollinearity,
+    padded,
+    second_horizon,
+    structure_of,
+)
 from hident.estimators.linear_transform import LinearFit, StageSpec
 from hident.estimators.searches import StructureSearch
 from hident.estimators.wiener_errors import wiener_errors
@@ -25,8 +32,6 @@ from hident.systems.nonlinearity import PiecewiseLinear
 
 # Section 4.4: the share of the settling time that the second stage's horizons last.
 _SHARE = 1.0
-# Section 5: the most searches with the structure that the second stage found.
-_ROUNDS = 5
 _CLUSTERS = 20
 
 
@@ -73,22 +78,11 @@ class IterativeWiener(IterativeSpec):
     """The iteration ends when the parameters change by less than this, relative to their norm."""
     max_iterations: Annotated[Count, Field(ge=1)] = 60
     """The most iterations."""
-    automatic: Flag = False
-    """Section 5's loop: the structure that the second stage finds is the first stage's until it repeats."""
     smooth: Annotated[Count, Field(ge=2)] | None = None
     """Estimate the nonlinearity by straight lines through the means of this many clusters (example 3)."""
 
-    @model_validator(mode="after")
-    def _loop_needs_a_search(self) -> Self:
-        if self.automatic and (self.second is None or self.second.structure != "search"):
-            raise ValueError("'automatic' needs a second stage with 'structure: search'")
-        return self
-
-    def first_parameters(self) -> int:
-        return self._parameters(self.first)
-
-    def _parameters(self, stage: StageSpec) -> int:
-        return stage.n + stage.m + 1 + len(self.nonlinearity.coefficients())
+    def function_parameters(self) -> int:
+        return len(self.nonlinearity.coefficients()) + 1
 
     def provides(self) -> frozenset[str]:
         names = [*self.stage_names(), *self.nonlinearity.names(), "iterations", "converged"]
@@ -112,19 +106,19 @@ class IterativeWiener(IterativeSpec):
         self.check_record(record)
         wiener, first = self._first(record, dt, self.first, self.delay)
         second, search = self._second(record, dt, first)
-        for _ in range(_ROUNDS if self.automatic else 0):
+        for _ in range(ROUNDS if self.automatic else 0):
             assert second is not None  # by validation
-            found = second.block
-            if _structure(found) == _structure(first.block):
+            n, m, delay = structure_of(second.block)
+            if structure_of(first.block) == (n, m, delay):
                 break
-            stage = self.first.model_copy(update={"n": len(found.a), "m": len(found.b) - 1})
-            wiener, first = self._first(record, dt, stage, found.delay)
+            wiener, first = self._first(record, dt, self.first.of_structure(n, m), delay)
             second, search = self._second(record, dt, first)
         return self._estimate(record, dt, wiener, first, second, search)
 
     def _first(self, record: Record, dt: float, stage: StageSpec, delay: float) -> tuple[Wiener, WienerStage]:
+        parameters = stage.n + stage.m + self.function_parameters()
         try:
-            horizons = stage.horizons(len(record), dt, self.start, self._parameters(stage))
+            horizons = stage.horizons(len(record), dt, self.start, parameters)
         except ValueError as error:
             raise EstimationError(str(error)) from None
         wiener = Wiener.of(record.u, record.y, dt, m=stage.m, delay=delay, horizons=horizons)
@@ -197,10 +191,6 @@ class IterativeWiener(IterativeSpec):
         points = first.values["y_-1"], first.values["y_1"]
         found = wiener_errors(wiener, first.phi, first.block, e, points, self.weight, second)
         return self.errors_by_name(*found, 0)
-
-
-def _structure(block: ContinuousTransferFunction) -> tuple[int, int, float]:
-    return len(block.a), len(block.b), block.delay
 
 
 def _through(points: Array) -> PiecewiseLinear:

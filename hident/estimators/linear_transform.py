@@ -183,6 +183,10 @@ class StageSpec(Spec):
         require_proper(self.n, self.m)
         return self
 
+    def of_structure(self, n: int, m: int) -> StageSpec:
+        """The same horizons for a block of other orders."""
+        return self.model_copy(update={"n": n, "m": m})
+
     def horizons(self, samples: int, dt: float, start: float, parameters: int) -> Horizons:
         """The horizons; ValueError if they do not suit the record or the number of parameters."""
         horizons = Horizons.of(samples, dt, eta=self.horizon, overlap=self.overlap, order=self.n, start=start)
@@ -216,7 +220,7 @@ class SecondStageSpec(Spec):
             raise ValueError(f"a search finds n and m: leave out {', '.join(sorted(given))}")
         if self.structure == "given":
             if searched:
-                raise ValueError(f"{', '.join(sorted(searched))} need 'structure: search'")
+                raise ValueError(f"only 'structure: search' takes {' and '.join(sorted(searched))}")
             if self.n is None:
                 raise ValueError("give the order 'n', or 'structure: search'")
             require_proper(self.n, self.m)

@@ -10,13 +10,18 @@ import numpy as np
 
 from hident.records import Array
 
+# A regressor of length one that differs by less from a sum of the ones before it is such a sum.
+_DEPENDENT = 1e-13
+
 
 def solve(phi: Array, z: Array) -> Array:
     """The least-squares parameters (..., P), eq. (25), (26), by QR of the columns scaled to length one.
 
     A singular regression gives values that are not finite.
     """
-    scale = np.linalg.norm(phi, axis=-2)
+    scale = np.sqrt(np.einsum("...ij,...ij->...j", phi, phi))
+    # A regressor that is zero throughout stays so, and depends on the others.
+    scale = np.where(scale == 0.0, 1.0, scale)
     both = np.concatenate((phi / scale[..., None, :], z[..., None]), axis=-1)
     r = np.asarray(np.linalg.qr(both, mode="r"))
     parameters = phi.shape[-1]
@@ -26,11 +31,12 @@ def solve(phi: Array, z: Array) -> Array:
 
 def _back_substituted(r: Array, right: Array) -> Array:
     """The solution of R x = right for upper triangular R (..., P, P); not finite where R is singular."""
-    x = np.empty_like(right)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        for i in reversed(range(right.shape[-1])):
-            known = np.einsum("...j,...j->...", r[..., i, i + 1 :], x[..., i + 1 :])
-            x[..., i] = (right[..., i] - known) / r[..., i, i]
+    pivots = np.diagonal(r, axis1=-2, axis2=-1)
+    pivots = np.where(np.abs(pivots) < _DEPENDENT, np.nan, pivots)
+    x = right.copy()
+    for i in reversed(range(right.shape[-1])):
+        x[..., i] /= pivots[..., i]
+        x[..., :i] -= r[..., :i, i] * x[..., i, None]
     return x
 
 

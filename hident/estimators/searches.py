@@ -13,7 +13,7 @@ from hident.records import Array
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """Parameters by name against the iteration, each of shape (iterations + 1,); ``details["history"]``."""
+    """Parameters by name, each of shape (K,) with a value for each iterate; ``details["history"]``."""
 
     values: Mapping[str, Array]
     converged: bool

@@ -107,6 +107,10 @@ class Horizons:
                 f"or a sampling interval of at most {eta / fewest_samples(order):g}"
             )
         end = (samples - 1) * dt
+        if start >= end:
+            raise ValueError(
+                f"the start {start:g} lies after the record's end {end:g}: take an earlier start"
+            )
         count = math.floor((end - start - eta) / (overlap * eta) + _WHOLE)
         if count < 1:
             raise ValueError(
@@ -153,26 +157,25 @@ class Horizons:
         """
         return _kept(_held, self, delay)
 
-    def operator(self, weights: Array, shift: int) -> csr_array:
-        """The operator with rows ``weights`` (n + 1, count or 1, width) from every start + ``shift`` on."""
+    def operator(self, weights: Array, kind: NDArray[np.intp], shift: int) -> csr_array:
+        """The operator with rows ``weights`` (n + 1, kinds, width) from every start + ``shift`` on.
+
+        ``kind`` (count,) tells which weights a horizon has.
+        """
         from scipy.sparse import csr_array
 
         orders, _, width = weights.shape
-        columns = (self.starts + shift)[:, None] + np.arange(width)
-        data = np.broadcast_to(
-            weights / self.eta ** np.arange(orders)[:, None, None], (orders, *columns.shape)
-        )
-        inside = (columns >= 0) & (columns < self.samples)
-        if not np.all(inside):
-            data, columns = np.where(inside, data, 0.0), np.clip(columns, 0, self.samples - 1)
         rows = orders * self.count
+        # A sparse array copies all indices that are not of one type.
+        index = np.int32 if rows * width <= np.iinfo(np.int32).max else np.int64
+        columns = (self.starts + shift).astype(index)[:, None] + np.arange(width, dtype=index)
+        outside = (columns < 0) | (columns >= self.samples)
+        np.clip(columns, 0, self.samples - 1, out=columns)
+        data = np.take(weights / self.eta ** np.arange(orders)[:, None, None], kind, axis=1)
+        data[:, outside] = 0.0
+        ends = np.arange(0, (rows + 1) * width, width, dtype=index)
         return csr_array(
-            (
-                np.ascontiguousarray(data).ravel(),
-                np.ascontiguousarray(np.broadcast_to(columns, data.shape)).ravel(),
-                np.arange(0, (rows + 1) * width, width),
-            ),
-            shape=(rows, self.samples),
+            (data.ravel(), np.tile(columns.ravel(), orders), ends), shape=(rows, self.samples)
         )
 
     def held_runs(self, held_input: Array, delay: float, orders: int) -> tuple[csr_array, Array]:
@@ -195,19 +198,22 @@ class Horizons:
 
 
 def _sampled(horizons: Horizons, knots: Knots) -> csr_array:
-    length, order = horizons.length, horizons.order
-    moments = _moments(length, order)
-    first = knots.stencils(horizons.samples - 1)
-    cells = horizons.starts[:, None] + np.arange(length)
+    length, order, starts = horizons.length, horizons.order, horizons.starts
+    # Horizons that lie alike among the knots have the same weights, except next to the record's ends.
+    inner = (starts >= _STENCIL) & (starts + length + _STENCIL <= horizons.samples)
+    alike = np.where(inner, (starts - knots.phase) % max(knots.hold, 1), -1 - starts)
+    _, some, kind = np.unique(alike, return_index=True, return_inverse=True)
     # A horizon's stencils reach at most this far out of it.
     reach, width = _STENCIL, length + 1 + 2 * _STENCIL
-    columns = first[cells][..., None] + np.arange(_STENCIL) - (horizons.starts[:, None, None] - reach)
-    flat = (columns + width * np.arange(horizons.count)[:, None, None]).ravel()
-    place = cells - first[cells]
+    cells = starts[some, None] + np.arange(length)
+    first = knots.stencils(horizons.samples - 1)[cells]
+    columns = first[..., None] + np.arange(_STENCIL) - (starts[some, None, None] - reach)
+    flat = (columns + width * np.arange(len(some))[:, None, None]).ravel()
     weights = [
-        np.bincount(flat, one[np.arange(length), place].ravel(), horizons.count * width) for one in moments
+        np.bincount(flat, one[np.arange(length), cells - first].ravel(), len(some) * width)
+        for one in _moments(length, order)
     ]
-    return horizons.operator(np.reshape(weights, (order + 1, horizons.count, width)), -reach)
+    return horizons.operator(np.reshape(weights, (order + 1, len(some), width)), kind, -reach)
 
 
 def _held(horizons: Horizons, delay: float) -> csr_array:
@@ -216,7 +222,8 @@ def _held(horizons: Horizons, delay: float) -> csr_array:
     rest = max(intervals - whole, 0.0)
     rest = 0.0 if rest < _WHOLE else rest
     edges = np.clip((np.arange(-1, horizons.length + 1) + rest) / horizons.length, 0.0, 1.0)
-    return horizons.operator(_held_weights(edges, horizons.order)[:, None], -whole - 1)
+    alike = np.zeros(horizons.count, dtype=np.intp)
+    return horizons.operator(_held_weights(edges, horizons.order)[:, None], alike, -whole - 1)
 
 
 @lru_cache(maxsize=32)

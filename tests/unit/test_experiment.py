@@ -546,6 +546,39 @@ published:
         assert plan.paper == tmp_path / "experiments" / "mzyk2009"
 
 
+def test_a_need_may_be_met_by_either_of_two_parts(write, refused):
+    text = """\
+version: 1
+title: Either
+trials: 2
+samples: 600
+dt: 0.1
+system:
+  kind: hammerstein
+  nonlinearity: identity
+  linear: {kind: continuous, a: [2]}
+excitation: {kind: multistep, switching_time: 1, std: 1}
+estimators:
+  continuous: {kind: linear_model, block: {n: 1, horizon: 4}}
+  discrete: {kind: instrumental_variables, order: 1, instrument: identity}
+metrics:
+  p: {kind: linear_percent_error, step: 0.1}
+"""
+    assert units(load(write(text))) == [("continuous",), ("discrete",)]
+    kernel = "static: {kind: kernel, kernel: window_unit, bandwidth: {h0: 0.2, alpha: 1/5}}"
+    assert refused(text.replace("metrics:", f"  {kernel}\nmetrics:")) == [
+        "a.yaml:16: metrics.p: the metric 'linear_percent_error' needs the linear or continuous of the "
+        "estimate, which estimator 'static' (kernel) does not give (it gives: nonlinearity); "
+        "'estimators:' under the metric limits it to some"
+    ]
+    discrete = text.replace("{kind: continuous, a: [2]}", "{kind: ar, a: [0.9]}")
+    (said,) = refused(discrete)
+    assert said.startswith(
+        "a.yaml:15: metrics.p: the metric 'linear_percent_error' needs the continuous of the system, which "
+        "'hammerstein' does not have (it has: linear, nonlinearity, response, "
+    )
+
+
 def _places(data, at=()):
     yield at
     items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()

@@ -1,5 +1,6 @@
 """Inputs that cannot work are refused before a trial runs."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -77,3 +78,160 @@ def test_a_bound_needs_a_system_with_its_parts(tmp_path):
         r"'wiener_hammerstein' does not have \(it has: ",
     ):
         load(path)
+
+
+HAMMERSTEIN = """\
+version: 1
+title: t
+trials: 2
+samples: {samples}
+dt: {dt}
+system:
+  kind: hammerstein
+  nonlinearity: chen_type_1
+  linear: {{kind: continuous, a: [4, 4, 3], b: [1, -1], delay: 2}}
+excitation: {{kind: multistep, switching_time: 1, {levels}}}
+estimators:
+  two stage:
+    kind: iterative_hammerstein
+    nonlinearity: {{kind: three_segment, partition: {partition}}}
+    first: {{n: 3, m: 1, {horizon}}}
+    second: {{n: 3, m: 1}}
+    delay: 2
+    start: 2.5
+metrics: {{a: {{kind: error, of: [a_1]}}}}
+"""
+SUITABLE = {
+    "samples": 1001,
+    "dt": 0.1,
+    "levels": "std: 1.25, limits: [-2.5, 2.5]",
+    "partition": "[-0.5, 0.5]",
+    "horizon": "horizon: 15",
+}
+HOPELESS = [
+    (
+        {"partition": "[-0.5, 4]", "levels": "distribution: uniform, limits: [-2, 2]"},
+        # The input's range follows from the seed.
+        r"the partition points \[-0\.5, 4\] must lie inside the inputs' range \[-1\.9\d*, 1\.9\d*\]: "
+        r"move them, or let 'partition: search' find them",
+    ),
+    (
+        {"partition": "search", "levels": "distribution: uniform, limits: [1, 2]"},
+        r"the input ranges from 1\.\d* to [12]\.?\d*: partition points need inputs on both sides of zero",
+    ),
+]
+UNSUITABLE = [
+    (
+        {"horizon": "horizon: 1"},
+        "the horizon 1 holds 10 sampling intervals of 0.1, and order 3 needs 16: "
+        "take a horizon of at least 1.6 or a sampling interval of at most 0.0625",
+    ),
+    (
+        {"dt": 1, "samples": 101},
+        "the horizon 15 holds 15 sampling intervals of 1, and order 3 needs 16: "
+        "take a horizon of at least 16 or a sampling interval of at most 0.9375",
+    ),
+    (
+        {"horizon": "horizon: 150"},
+        "the horizon 150 is too long for the record: it spans 97.5 from the start 2.5, "
+        "and 165 is the least that holds one horizon",
+    ),
+    (
+        {"horizon": "horizon: 40, overlap: 0.5"},
+        "2 horizons are fewer than the 9 parameters: take a shorter horizon, "
+        "a smaller overlap step or a longer record",
+    ),
+]
+
+
+def continuous_plan(folder: Path, **changes):
+    plugins.load()
+    path = folder / "c.yaml"
+    path.write_text(HAMMERSTEIN.format(**{**SUITABLE, **changes}))
+    return load(path)
+
+
+def test_partition_points_inside_the_inputs_pass(tmp_path):
+    check_records(continuous_plan(tmp_path))
+    check_records(continuous_plan(tmp_path, partition="search"))
+
+
+@pytest.mark.parametrize(("changes", "message"), HOPELESS)
+def test_inputs_without_room_for_partition_points_are_refused(tmp_path, changes, message):
+    with pytest.raises(ConfigError, match=rf"^{tmp_path}/c\.yaml:12: estimators\.two stage: {message}$"):
+        check_records(continuous_plan(tmp_path, **changes))
+
+
+@pytest.mark.parametrize(("changes", "message"), UNSUITABLE)
+def test_horizons_that_do_not_suit_the_record_are_refused_at_load(tmp_path, changes, message):
+    with pytest.raises(ConfigError) as caught:
+        continuous_plan(tmp_path, **changes)
+    assert str(caught.value) == f"{tmp_path}/c.yaml:12: estimators.two stage: {message}"
+
+
+def test_the_program_ends_with_code_2_before_any_trial(lab):
+    changes, message = HOPELESS[0]
+    (lab.folder / "tiny.yaml").write_text(HAMMERSTEIN.format(**{**SUITABLE, **changes}))
+    said = lab.run(code=2)
+    assert re.search(rf"tiny\.yaml:12: estimators\.two stage: {message}", said)
+    assert not (lab.folder / "out").exists()
+
+
+STALLING = '''
+import numpy as np
+
+from hident.config.spec import component
+from hident.errors import SimulationError
+from hident.records import Truth
+from hident.systems.base import SystemSpec
+
+
+@component("system", "stalling")
+class Stalling(SystemSpec):
+    """A process whose simulation fails for most inputs, that of trial 0 among them."""
+
+    def simulate(self, u, dt=1.0):
+        if u[0] < 1.0:
+            raise SimulationError(f"the integration stopped at t = {dt:g}")
+        return np.convolve(u, np.exp(-dt * np.arange(100.0)))[: len(u)]
+
+    def truth(self):
+        return Truth()
+'''
+
+
+def test_simulations_that_fail_are_failed_trials_and_no_reason_to_refuse(lab):
+    (lab.folder / "probe.py").write_text(STALLING)
+    lab.configure(
+        system="stalling",
+        cases={"samples": [600]},
+        dt=0.1,
+        trials=12,
+        excitation={"kind": "multistep", "switching_time": 1, "std": 1.25},
+        noise=[],
+        estimators={
+            "two stage": {
+                "kind": "iterative_hammerstein",
+                "nonlinearity": {"kind": "three_segment", "partition": [-0.5, 0.5]},
+                "first": {"n": 1, "horizon": 5},
+            }
+        },
+        metrics={"a": {"kind": "value", "of": ["a_1"]}},
+        tables={
+            "a": {
+                "kind": "grid",
+                "title": "A",
+                "rows": "samples",
+                "columns": [{"estimator": "two stage", "metric": "a a_1"}],
+            }
+        },
+    )
+    lab.run()
+    text = (lab.folder / "out/tiny/table.md").read_text()
+    said = re.search(
+        r"(\d+) of 12 trials of estimator 'two stage' at samples 600 failed "
+        r"\(the first: the integration stopped at t = 0\.1\)",
+        text,
+    )
+    assert said is not None, text
+    assert 2 <= int(said[1]) < 12

@@ -12,13 +12,14 @@ from hident import plugins
 from hident.config.spec import component
 from hident.engine.experiment import load
 from hident.engine.trial import Job, Outcome, digest, generate, run_trials
-from hident.errors import EstimationError
+from hident.errors import EstimationError, SimulationError
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
 from hident.metrics.values import Value
-from hident.records import Estimate, Record
+from hident.records import Array, Estimate, Record, Truth
 from hident.signals.base import NoiseSpec
 from hident.signals.streams import Role
+from hident.systems.base import SystemSpec
 
 if TYPE_CHECKING:
     from hident.engine.experiment import Plan
@@ -199,3 +200,28 @@ def test_digest_depends_on_values_and_not_on_the_order_of_keys() -> None:
     different = [{"a": 0.1}, {"a": np.nextafter(0.1, 1.0)}, {"a": 1}, {"a": 1.0}, {"a": "1"}, {"b": 0.1}]
     assert len({digest(value) for value in different}) == len(different)
     assert len(digest({})) == 32
+
+
+@component("system", "stuck")
+class Stuck(SystemSpec):
+    """Does not converge."""
+
+    def simulate(self, u: Array, dt: float = 1.0) -> Array:
+        raise SimulationError("stopped at t = 3")
+
+    def truth(self) -> Truth:
+        return Truth()
+
+
+def test_a_simulation_that_fails_is_a_failed_trial_of_every_estimator(lab: Lab) -> None:
+    data = _plan(lab).units[0].data.model_copy(update={"system": Stuck()})
+    jobs = [Job(Witness(), _A), Job(Witness(gain=2.0), (*_A, *_A))]
+    outcomes = run_trials(data, jobs, {0: [0, 1], 1: [1]}, seed=7)
+    assert [(o.trial, o.job, o.failure, o.crash) for o in outcomes] == [
+        (0, 0, "stopped at t = 3", ""),
+        (0, 1, "stopped at t = 3", ""),
+        (1, 1, "stopped at t = 3", ""),
+    ]
+    assert [len(o.values) for o in outcomes] == [1, 2, 2]
+    assert all(np.isnan(o.values).all() for o in outcomes)
+    assert not Witness.seen
