@@ -13,6 +13,8 @@ from hident.records import Array
 _WHOLE = 1e-9
 # Modes faster than this fraction of the sampling interval act at once.
 _FASTEST = 1e-3
+# Coefficients of the Pade approximant, by rising power.
+_PADE = (17297280.0, 8648640.0, 1995840.0, 277200.0, 25200.0, 1512.0, 56.0, 1.0)
 
 
 def time_constants(a: Array) -> NDArray[np.complex128]:
@@ -35,15 +37,22 @@ def _products(values: NDArray[np.complex128]) -> Array:
     return coefficients.real
 
 
-def responses(a: Array, b: Array, delay: float, u: Array, dt: float) -> Array:
+def responses(
+    a: Array,
+    b: Array,
+    delay: float,
+    u: Array,
+    dt: float,
+    tau: NDArray[np.complex128] | None = None,
+) -> Array:
     """The responses (N, J) of J continuous blocks to one held input ``u`` (N,), exact at the samples.
 
     ``a`` (J, n) and ``b`` (J, m + 1) are the blocks' coefficients. Poles in the right half plane are
-    reflected into the left one.
+    reflected into the left one. ``tau`` (J, n) are the time constants, if they are known.
     """
     from scipy.signal import lfilter
 
-    tau = time_constants(a)
+    tau = time_constants(a) if tau is None else tau
     tau = np.maximum(np.abs(tau.real), _FASTEST * dt) + 1j * tau.imag
     denominators = _products(-np.exp(-dt / tau))
     whole = math.floor(delay / dt + _WHOLE)
@@ -62,8 +71,6 @@ def _numerators(a: Array, b: Array, denominators: Array, rest: float, dt: float)
 
     Their shape is (J, n + 1), or (J, n + 2) with a delay.
     """
-    from scipy.linalg import expm
-
     count, n = a.shape
     unit = a[:, -1:] ** (1.0 / n)
     powers = unit ** np.arange(n + 1)
@@ -74,8 +81,8 @@ def _numerators(a: Array, b: Array, denominators: Array, rest: float, dt: float)
     M[:, n - 1, 1:n] = -a[:, :-1] / powers[:, 1:n]
     M[:, n - 1, n] = 1.0
     scale = (dt / unit)[..., None]
-    step = expm(M * scale)
-    state = (step if rest == 0.0 else expm(M * (scale * (1.0 - rest))))[..., -1:]
+    step = _exponentials(M * scale)
+    state = (step if rest == 0.0 else _exponentials(M * (scale * (1.0 - rest))))[..., -1:]
     size = n + 1 if rest == 0.0 else n + 2
     rises = np.zeros((count, size))
     for k in range(1, size):
@@ -86,3 +93,23 @@ def _numerators(a: Array, b: Array, denominators: Array, rest: float, dt: float)
     for i in range(n + 1):
         numerators[:, i:] += denominators[:, i : i + 1] * impulses[:, : size - i]
     return numerators
+
+
+def _exponentials(matrices: Array) -> Array:
+    """The exponentials of J small matrices (J, k, k), by the Pade approximant of degree 7 and squaring.
+
+    Higham 2005, algorithm 2.3; SciPy's takes one matrix after the other.
+    """
+    halvings = np.maximum(np.frexp(np.max(np.sum(np.abs(matrices), axis=-2), axis=-1))[1], 0)
+    A = matrices * 0.5 ** halvings[:, None, None]
+    A2 = A @ A
+    A4 = A2 @ A2
+    A6 = A2 @ A4
+    unit = np.eye(A.shape[-1])
+    odd = A @ (_PADE[7] * A6 + _PADE[5] * A4 + _PADE[3] * A2 + _PADE[1] * unit)
+    even = _PADE[6] * A6 + _PADE[4] * A4 + _PADE[2] * A2 + _PADE[0] * unit
+    exponentials = np.linalg.solve(even - odd, even + odd)
+    for halving in range(int(np.max(halvings, initial=0))):
+        squared = halvings > halving
+        exponentials[squared] = exponentials[squared] @ exponentials[squared]
+    return np.asarray(exponentials)

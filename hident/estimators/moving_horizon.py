@@ -14,22 +14,27 @@ from hident.records import Array
 _DEPENDENT = 1e-13
 
 
-def solve(phi: Array, z: Array) -> Array:
+def solve(phi: Array, z: Array, scale: Array | None = None) -> Array:
     """The least-squares parameters (..., P), eq. (25), (26), by QR of the columns scaled to length one.
 
-    A singular regression gives values that are not finite.
+    A singular regression gives values that are not finite. ``scale`` (..., P) are the lengths of the whole
+    columns where ``phi`` holds what is left of them.
     """
-    scale = np.sqrt(np.einsum("...ij,...ij->...j", phi, phi))
-    # A regressor that is zero throughout stays so, and depends on the others.
-    scale = np.where(scale == 0.0, 1.0, scale)
+    scale = lengths(phi) if scale is None else scale
     both = np.concatenate((phi / scale[..., None, :], z[..., None]), axis=-1)
     r = np.asarray(np.linalg.qr(both, mode="r"))
     parameters = phi.shape[-1]
-    theta = _back_substituted(r[..., :parameters, :parameters], r[..., :parameters, parameters])
+    theta = back_substituted(r[..., :parameters, :parameters], r[..., :parameters, parameters])
     return np.asarray(theta / scale)
 
 
-def _back_substituted(r: Array, right: Array) -> Array:
+def lengths(phi: Array) -> Array:
+    """The lengths (..., P) of the columns; one for a column of zeros, which stays so when it is scaled."""
+    found = np.sqrt(np.einsum("...ij,...ij->...j", phi, phi))
+    return np.where(found == 0.0, 1.0, found)
+
+
+def back_substituted(r: Array, right: Array) -> Array:
     """The solution of R x = right for upper triangular R (..., P, P); not finite where R is singular."""
     pivots = np.diagonal(r, axis1=-2, axis2=-1)
     pivots = np.where(np.abs(pivots) < _DEPENDENT, np.nan, pivots)

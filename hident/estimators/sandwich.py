@@ -21,7 +21,7 @@ def influence(onto: Array, horizons: Horizons, knots: Knots, a: tuple[float, ...
     ``onto`` (P, N) maps the equations' errors to the parameters; noise on the output enters the
     equations by way of y + a_1 y^(1) + ... + a_n y^(n).
     """
-    operator = horizons.sampled(knots)[: (len(a) + 1) * horizons.count]
+    operator = horizons.sampled(knots)
     stacked = np.concatenate([weight * onto for weight in (1.0, *a)], axis=-1)
     return np.asarray((operator.T @ stacked.T).T)
 

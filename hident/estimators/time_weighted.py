@@ -167,16 +167,14 @@ class Horizons:
         orders, _, width = weights.shape
         rows = orders * self.count
         # A sparse array copies all indices that are not of one type.
-        index = np.int32 if rows * width <= np.iinfo(np.int32).max else np.int64
-        columns = (self.starts + shift).astype(index)[:, None] + np.arange(width, dtype=index)
+        index = np.dtype(np.int32 if rows * width <= np.iinfo(np.int32).max else np.int64)
+        columns = np.add.outer(self.starts + shift, np.arange(width), dtype=index, casting="same_kind")
         outside = (columns < 0) | (columns >= self.samples)
         np.clip(columns, 0, self.samples - 1, out=columns)
         data = np.take(weights / self.eta ** np.arange(orders)[:, None, None], kind, axis=1)
         data[:, outside] = 0.0
         ends = np.arange(0, (rows + 1) * width, width, dtype=index)
-        return csr_array(
-            (data.ravel(), np.tile(columns.ravel(), orders), ends), shape=(rows, self.samples)
-        )
+        return csr_array((data.ravel(), np.tile(columns.ravel(), orders), ends), shape=(rows, self.samples))
 
     def held_runs(self, held_input: Array, delay: float, orders: int) -> tuple[csr_array, Array]:
         """The operator for functions of a held input, and the levels (runs,) of that input.

@@ -81,10 +81,13 @@ class Wiener:
         theta = solve(np.hstack((-self.outputs[:, 1:], self.inputs)), self.outputs[:, 0])
         return self.internal(theta[None])[:, 0] if np.all(np.isfinite(theta)) else self.y
 
-    def internal(self, theta: Array) -> Array:
-        """x_lin (N, J) of (28a) for parameters (J, P), poles reflected into the left half plane."""
+    def internal(self, theta: Array, tau: NDArray[np.complex128] | None = None) -> Array:
+        """x_lin (N, J) of (28a) for parameters (J, P), poles reflected into the left half plane.
+
+        ``tau`` (J, n) are the blocks' :func:`time_constants`, if they are known.
+        """
         a, b, _ = self.split(theta)
-        return responses(a, b, self.delay, self.u, self.dt)
+        return responses(a, b, self.delay, self.u, self.dt, tau)
 
     def split(self, theta: Array) -> tuple[Array, Array, Array]:
         """a (..., n), b (..., m + 1) and c (..., r) in ``theta``."""
@@ -250,12 +253,12 @@ def iterate(wiener: Wiener, internal: Internal, rule: Rule) -> Iterates:
     inadmissible = np.zeros(count, dtype=np.intp)
     converged, admissible = np.zeros((2, count), dtype=bool)
     going = np.all(np.isfinite(theta), axis=-1)
-    rows, internal = np.flatnonzero(going), internal.of(going)
+    rows, internal, tau = np.flatnonzero(going), internal.of(going), None
     for _ in range(rule.max_iterations):
         if len(rows) == 0:
             break
         old = theta[rows]
-        internal = internal.updated(wiener.internal(old), wiener.split(old)[2], rule.weight)
+        internal = internal.updated(wiener.internal(old, tau), wiener.split(old)[2], rule.weight)
         phi[rows] = now = _regressors(wiener, internal)
         new = _solved(wiener, now)
         length = np.linalg.norm(now, axis=-2)
@@ -265,22 +268,17 @@ def iterate(wiener: Wiener, internal: Internal, rule: Rule) -> Iterates:
         path.append(theta)
         iterations[rows] += 1
         converged[rows] = change <= rule.tolerance * np.linalg.norm(new * length, axis=-1)
-        admissible[rows] = _is_admissible(wiener, internal, new)
+        finite = np.all(np.isfinite(new), axis=-1)
+        a, _, c = wiener.split(np.where(finite[:, None], new, 0.0))
+        tau = time_constants(a)
+        admissible[rows] = finite & np.all(tau.real > 0.0, axis=-1) & internal.has_forward(c)
         inadmissible[rows] = np.where(admissible[rows], 0, inadmissible[rows] + 1)
         going = np.isfinite(change) & ~converged[rows]
         if rule.patience is not None:
             going &= inadmissible[rows] < rule.patience
         if not np.all(going):
-            rows, internal = rows[going], internal.of(going)
+            rows, internal, tau = rows[going], internal.of(going), tau[going]
     return Iterates(np.array(path), phi, iterations, converged, admissible)
-
-
-def _is_admissible(wiener: Wiener, internal: Internal, theta: Array) -> Flags:
-    """Whether each theta (J, P) is finite, its block stable and its nonlinearity a function; shape (J,)."""
-    finite = np.all(np.isfinite(theta), axis=-1)
-    a, _, c = wiener.split(np.where(finite[:, None], theta, 0.0))
-    stable = np.all(time_constants(a).real > 0.0, axis=-1)
-    return np.asarray(finite & stable & internal.has_forward(c))
 
 
 def _regressors(wiener: Wiener, internal: Internal) -> Array:

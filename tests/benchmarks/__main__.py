@@ -1,4 +1,4 @@
-"""``python -m tests.benchmarks [startup scaling two_stage workers trials]``: all five by default."""
+"""``python -m tests.benchmarks [NAME ...]``: the benchmarks named, all by default."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 import importlib
 
 # Those with peak memory come early: a child's begins at what its parent holds when it starts.
-_ALL = ("startup", "scaling", "two_stage", "workers", "trials")
+_ALL = ("startup", "scaling", "two_stage", "chen", "brouri", "workers", "trials")
 
 
 def main() -> None:
