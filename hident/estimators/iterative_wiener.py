@@ -21,7 +21,7 @@ from hident.estimators.iterative import (
     second_horizon,
     structure_of,
 )
-from hident.estimators.linear_transform import LinearFit, StageSpec
+from hident.estimators.linear_transform import LinearFit, Measured, StageSpec
 from hident.estimators.searches import StructureSearch
 from hident.estimators.wiener_errors import wiener_errors
 from hident.estimators.wiener_iteration import Rule, Wiener
@@ -132,9 +132,17 @@ class IterativeWiener(IterativeSpec):
             return None, None
         eta = second_horizon(first.block, _SHARE, self.second.horizon)[1]
         block = first.block
+        gain, nonlinearity = block.b[0], first.nonlinearity
         # The output of the linear block is now known, (28b), and so is its static gain.
         return self.second.fit(
-            first.x, record.u, dt, delay=block.delay, eta=eta, start=self.start, gain=block.b[0]
+            first.x,
+            record.u,
+            dt,
+            delay=block.delay,
+            eta=eta,
+            start=self.start,
+            gain=gain,
+            measured=Measured(record.y, lambda x: nonlinearity(x / gain)),
         )
 
     def _estimate(

@@ -24,7 +24,7 @@ from hident.errors import EstimationError
 from hident.estimators.moving_horizon import solve
 from hident.estimators.searches import StructureSearch
 from hident.estimators.time_weighted import Horizons, Knots
-from hident.records import Array
+from hident.records import Array, Characteristic
 from hident.systems.continuous import ContinuousTransferFunction
 
 _NEAR_THE_BEST = 1.25
@@ -95,15 +95,27 @@ def block_of(a: ArrayLike, b: ArrayLike, delay: float) -> ContinuousTransferFunc
     return ContinuousTransferFunction(tuple(b.tolist()), tuple(a.tolist()), delay)
 
 
-def output_error(block: ContinuousTransferFunction, output: Array, held_input: Array, dt: float) -> float:
-    """Root mean square of the simulated output's error over the output's standard deviation.
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What was measured behind the linear block: ``y`` (N,), after the static function ``after``."""
 
-    Infinite for an unstable block.
-    """
-    if not block.is_stable():
-        return math.inf
-    residual = output - block.respond(held_input, dt)
-    return float(np.sqrt(np.mean(residual**2)) / np.std(output))
+    y: Array
+    after: Characteristic
+
+    @classmethod
+    def directly(cls, output: Array) -> Measured:
+        """The block's own output."""
+        return cls(output, lambda x: x)
+
+    def error_of(self, block: ContinuousTransferFunction, held_input: Array, dt: float) -> float:
+        """Root mean square of the simulated output's error over the output's standard deviation.
+
+        Infinite for an unstable block.
+        """
+        if not block.is_stable():
+            return math.inf
+        residual = self.y - self.after(block.respond(held_input, dt))
+        return float(np.sqrt(np.mean(residual**2)) / np.std(self.y))
 
 
 def search_structure(
@@ -117,6 +129,7 @@ def search_structure(
     overlap: float,
     start: float = 0.0,
     gain: float | None = None,
+    measured: Measured | None = None,
 ) -> tuple[LinearFit, StructureSearch]:
     """The block of the simplest structure (n, m, d) that is nearly the best.
 
@@ -125,13 +138,16 @@ def search_structure(
     parameters n + m is chosen, and the most accurate among equals. The simulated output, unlike the
     residual of the regression, compares structures on one scale whatever the order of the weight; with
     white measurement noise its error is that noise's for every structure that holds the true one, so that
-    the quotient of two such is near one, and well above it where a mode is missing.
+    the quotient of two such is near one, and well above it where a mode is missing. For that the noise must
+    be that of a measurement: behind a Wiener system's block it is the ``measured`` output, not ``output``,
+    whose noise the inverse nonlinearity has stretched.
 
     Raises
     ------
     EstimationError
         If no candidate is stable.
     """
+    measured = measured or Measured.directly(output)
     fits: list[LinearFit | None] = []
     candidates = [(n, m, d) for d in delays for n in range(1, largest_n + 1) for m in range(n)]
     errors = []
@@ -154,7 +170,7 @@ def search_structure(
             errors.append(math.inf)
         else:
             fits.append(fit)
-            errors.append(output_error(fit.block, output, held_input, dt))
+            errors.append(measured.error_of(fit.block, held_input, dt))
     error = np.array(errors)
     if not np.any(np.isfinite(error)):
         raise EstimationError(f"no structure up to n = {largest_n} gives a stable linear block")
@@ -250,6 +266,7 @@ class SecondStageSpec(Spec):
         eta: float,
         start: float,
         gain: float | None,
+        measured: Measured | None = None,
     ) -> tuple[LinearFit, StructureSearch | None]:
         """The second stage's block, by horizons of length ``eta``, and the search for its structure."""
         if self.n is None:
@@ -263,6 +280,7 @@ class SecondStageSpec(Spec):
                 overlap=self.overlap,
                 start=start,
                 gain=gain,
+                measured=measured,
             )
         fit = linear_block(
             output,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -73,9 +74,27 @@ class LinearPercentError(MetricSpec):
         return (discretised_percent_error(block, record.truth.continuous, self.step),)
 
 
+@component("metric", "settling_time", source="Chen, Hwang, Chang 2009, example 5")
+class SettlingTime(MetricSpec):
+    """Time after which the step response of the estimated linear block stays in a band; delay apart."""
+
+    band: Annotated[Real, Field(gt=0, lt=1)] = 0.05
+    """Half the width of the band, relative to the final value."""
+
+    def needs_of_estimate(self) -> frozenset[str]:
+        return frozenset({"continuous"})
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        assert estimate.continuous is not None
+        return (estimate.continuous.settling_time(self.band),)
+
+
 @component("metric", "validation_error")
 class ValidationError(MetricSpec):
-    """Percent error of the model's noise-free response to an input that it was not fitted to."""
+    """Percent error of the model's noise-free response to an input that it was not fitted to.
+
+    Infinite for a model with an unstable linear block, whose response says nothing.
+    """
 
     excitation: Annotated[ExcitationSpec, Of("excitation")]
     """The input; a random one is drawn from a stream of its own, the same in every trial."""
@@ -92,9 +111,16 @@ class ValidationError(MetricSpec):
         assert record.truth is not None
         assert record.truth.response is not None
         assert estimate.response is not None
+        if not has_stable_block(estimate):
+            return (math.inf,)
         dt = 1.0 if record.dt is None else record.dt
         u = self.excitation.sample(self.samples, dt, np.random.default_rng(0))
         return (fit_error(estimate.response(u, dt), record.truth.response(u, dt)),)
+
+
+def has_stable_block(estimate: Estimate) -> bool:
+    """Whether the linear block in continuous time is stable, if there is one."""
+    return estimate.continuous is None or estimate.continuous.is_stable()
 
 
 def fit_error(predicted: np.ndarray, actual: np.ndarray) -> float:

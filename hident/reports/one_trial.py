@@ -177,5 +177,7 @@ def say_failed(axes: Axes, said: str) -> None:
 def list_failures(axes: Axes, failures: Sequence[str]) -> None:
     """Write into the corner of a panel of several curves which of them are missing, and why."""
     look: dict[str, Any] = {"fontsize": 7, "ha": "left", "va": "top", "wrap": True, "zorder": 7}
+    # However long, the words do not push the panels apart.
+    look["in_layout"] = False
     if failures:
         axes.text(0.02, 0.98, "\n".join(failures), transform=axes.transAxes, bbox=NOTE, **look)

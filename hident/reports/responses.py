@@ -14,7 +14,7 @@ from hident.engine.results import Results
 from hident.engine.trial import Data
 from hident.errors import TrialFailed
 from hident.ledger.verdicts import Verdict
-from hident.metrics.models import fit_error
+from hident.metrics.models import fit_error, has_stable_block
 from hident.records import Array, Response
 from hident.reports.base import Misfit, Reference
 from hident.reports.one_trial import (
@@ -136,7 +136,9 @@ class Validation(OneTrialFigure):
         for place, curve in enumerate(panel.curves):
             realised = trial.of(curve.estimator, curve.at)
             predicted, failure = None, realised.failure
-            if realised.found is not None:
+            if realised.found is not None and not has_stable_block(realised.found):
+                failure = "its linear block is unstable"
+            elif realised.found is not None:
                 predicted, failure = _respond(realised.found.response, u, dt)
             if predicted is None:
                 failures.append(f"{curve.text} failed: {failure}")
@@ -169,7 +171,7 @@ class Settles(Protocol):
 
 @component("figure", "settling_map", source="Chen, Hwang, Chang 2009, figure 12b")
 class SettlingMap(OneTrialFigure):
-    """Settling time of the linearised system against the operating point, and those of the estimates."""
+    """Settling time of the linearised system against the operating point, and of the estimated blocks."""
 
     curves: Annotated[tuple[Shown, ...], Field(min_length=1)]
     """The estimates; the first one's system gives the truth."""
@@ -188,7 +190,9 @@ class SettlingMap(OneTrialFigure):
 
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         for i, curve in enumerate(self.curves):
-            yield from curve.misfits(plan, ("curves", i), of_estimate="value settling_time")
+            if "continuous" not in curve.unit(plan).estimator.provides():
+                without = f"the estimator '{curve.estimator}' does not give a linear block in continuous time"
+                yield ("curves", i, "estimator"), without
         system = self.curves[0].unit(plan).data.system
         if not isinstance(system, Settles):
             yield "kind", f"the system '{system.kind}' has no settling time that varies with its input"
@@ -208,7 +212,8 @@ class SettlingMap(OneTrialFigure):
             if realised.found is None:
                 failures.append(f"{curve.text} failed: {realised.failure}")
                 continue
-            constant = np.full(_OPERATING_POINTS, realised.found.values["settling_time"])
+            assert realised.found.continuous is not None  # by misfits
+            constant = np.full(_OPERATING_POINTS, realised.found.continuous.settling_time())
             look = marked(lines[curve.text], place, _OPERATING_POINTS)
             axes.plot(x, constant, label=curve.text, **look)
         list_failures(axes, failures)

@@ -36,7 +36,7 @@ _PARTITION = {"input": ("u_-1", "u_1"), "output": ("y_-1", "y_1")}
 
 
 class StaticCurve(Shown):
-    """What a panel shows of one estimate."""
+    """What a panel shows of one estimate; the curve of a linear model is its static gain."""
 
     show: Annotated[tuple[Literal["curve", "points", "smoothed"], ...], Field(min_length=1)] = ("curve",)
     """Any of curve, points (output against internal variable) and smoothed (means of their clusters)."""
@@ -44,8 +44,12 @@ class StaticCurve(Shown):
     """Give the curve the static gain of a linear block before or after it; not by default."""
 
     def of(self, found: Estimate, x: Array) -> Array:
-        """The estimated characteristic at points (K,), with the linear block's gain if that is asked for."""
-        assert found.nonlinearity is not None
+        """The estimated characteristic at points (K,), with the linear block's gain if that is asked for.
+
+        A linear model's is its static gain.
+        """
+        if found.nonlinearity is None:
+            return _static_gain(found) * x
         match self.linear:
             case "before":
                 return found.nonlinearity(_static_gain(found) * x)
@@ -89,10 +93,12 @@ class StaticPanel(Spec):
         """What cannot be shown of this plan."""
         first = {"of_truth": "nonlinearity"}
         for i, curve in enumerate(self.curves):
-            part = "nonlinearity" if "curve" in curve.show else ""
+            provided = curve.unit(plan).estimator.provides()
+            linear = not provided.isdisjoint({"linear", "continuous"})
+            part = "nonlinearity" if "curve" in curve.show and not linear else ""
             yield from curve.misfits(plan, (*place, "curves", i), of_estimate=part, **first)
             first = {}
-            if curve.linear and curve.unit(plan).estimator.provides().isdisjoint({"linear", "continuous"}):
+            if curve.linear and not linear:
                 without = f"the estimator '{curve.estimator}' does not give a linear block"
                 yield (*place, "curves", i, "linear"), without
         offsets = {"x_offset": self.x_offset, "y_offset": self.y_offset}

@@ -39,6 +39,8 @@ def complaints(value, rule, definitions, at="file"):
                 yield from complaints(value, definitions[wanted.removeprefix("#/$defs/")], definitions, at)
             case "anyOf":
                 broken = all(any(complaints(value, option, definitions, at)) for option in wanted)
+            case "oneOf":
+                broken = sum(not any(complaints(value, option, definitions, at)) for option in wanted) != 1
             case "type":
                 kind = TYPES[wanted]
                 broken = not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool)
@@ -60,6 +62,10 @@ def complaints(value, rule, definitions, at="file"):
                 rules = [wanted] * len(items) if word == "items" else wanted
                 for i, (item, inner) in enumerate(zip(items, rules, strict=False)):
                     yield from complaints(item, inner, definitions, f"{at}[{i}]")
+            case "minProperties":
+                broken = isinstance(value, dict) and len(value) < wanted
+            case "minLength":
+                broken = isinstance(value, str) and len(value) < wanted
             case "minItems":
                 broken = isinstance(value, list) and len(items) < wanted
             case "maxItems":

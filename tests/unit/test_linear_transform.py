@@ -11,11 +11,11 @@ from pydantic import ValidationError
 
 from hident.errors import EstimationError
 from hident.estimators.linear_transform import (
+    Measured,
     SecondStageSpec,
     StageSpec,
     block_of,
     linear_block,
-    output_error,
     search_structure,
 )
 from hident.estimators.sandwich import influence, standard_errors
@@ -136,7 +136,9 @@ class TestSearch:
         assert sorted(set(search.delay)) == [1.5, 2.0]
         chosen = search.chosen
         assert (search.n[chosen], search.m[chosen], search.delay[chosen]) == (3, 1, 2.0)
-        assert search.error[chosen] == pytest.approx(output_error(fit.block, y, u, dt), rel=1e-12)
+        assert search.error[chosen] == pytest.approx(
+            Measured.directly(y).error_of(fit.block, u, dt), rel=1e-12
+        )
         near = search.error <= 1.25 * search.error.min()
         assert near[chosen]
         assert (search.n + search.m)[near].min() == 4
@@ -149,8 +151,9 @@ class TestSearch:
 
     def test_the_error_of_the_truth_is_that_of_the_noise(self):
         y, u, dt = data(nsr=0.1)
-        assert output_error(BLOCK, y, u, dt) == pytest.approx(0.1, rel=0.1)
-        assert output_error(ContinuousTransferFunction((1.0,), (-1.0,)), y, u, dt) == np.inf
+        measured = Measured.directly(y)
+        assert measured.error_of(BLOCK, u, dt) == pytest.approx(0.1, rel=0.1)
+        assert measured.error_of(ContinuousTransferFunction((1.0,), (-1.0,)), u, dt) == np.inf
 
 
 class TestStandardErrors:
