@@ -155,7 +155,11 @@ def _search(data: SineResponses, polynomial: PolynomialFit) -> Array:
     matrix = harmonic_matrix(data.amplitude[:, None] * _GAINS, data.offset[:, None], len(c) - 1)
     level = matrix[..., 0, :]
     spread = data.mean_error[:, None] ** 2 + np.einsum("egi,ij,egj->eg", level, polynomial.covariance, level)
-    cost = (data.mean[:, None] - level @ c) ** 2 / spread
+    model = level @ c
+    # What lies between two gains of the search is no misfit.
+    miss = np.maximum(np.abs(data.mean[:, None] - model) - 0.5 * np.abs(np.gradient(model, axis=1)), 0.0)
+    # Far outside the staircase the polynomial explains any mean: a likelihood counts that against it.
+    cost = miss**2 / spread + np.log(spread)
     amplitudes = (matrix @ c)[..., 1 : data.order + 1] / data.error[:, None]
     values = (data.values / data.error)[:, None]
     explained = np.abs(data.summed(amplitudes * values)) ** 2

@@ -55,12 +55,16 @@ class FrequencyGainIdentification(EstimatorSpec):
     phase_i_m and phase_o_m_k, and the coefficients of a rational one; each with its se_. Where the
     nonlinearity is estimated, c_0, ... as they are after the sines. Orders: order_power_m by eq. (39),
     order_ac_m the same without the mean, order_snr_m by signal-to-noise; examined + 1 where none suffices.
+    Of the phases: how many there are (phase_unknowns), how many sums were seen (phase_equations), their rank
+    (phase_rank).
     """
 
     frequencies: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     """Angular frequencies w_1 < w_2 < ... of the sines, radians per unit of time (or give the band)."""
     band: LogSpaced | None = None
     """Frequencies at equal ratios (or list them)."""
+    experiments: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+    """Names of the experiments with sines that are used (default: all of the record)."""
     order: Annotated[Count, Field(ge=1)] = 3
     """Number p of harmonics used."""
     nonlinearity: Annotated[EstimatorSpec, Of("estimator"), AfterValidator(_by_staircase)] | None = None
@@ -148,7 +152,8 @@ class FrequencyGainIdentification(EstimatorSpec):
         if self.nonlinearity is not None:
             names += [f"c_{j}" for j in range(self.degree + 1)]
         orders = [f"order_{rule}_{m}" for rule in ("power", "ac", "snr") for m, _ in self._numbered()]
-        values = (*names, *(f"se_{name}" for name in names), *orders)
+        ranks = ("phase_unknowns", "phase_equations", "phase_rank")
+        values = (*names, *(f"se_{name}" for name in names), *orders, *ranks)
         return frozenset({"nonlinearity", *(f"value {name}" for name in values)})
 
     def _numbered(self) -> Iterator[tuple[int, float]]:
@@ -167,7 +172,7 @@ class FrequencyGainIdentification(EstimatorSpec):
     def check_record(self, record: Record) -> None:
         if isinstance(self.nonlinearity, NonlinearityIdentification):
             self.nonlinearity.check_record(record)
-        sines = _sines(record)
+        sines = self._sines(record)
         omega = np.array([2.0 * math.pi / _wave(part).period for part in sines])
         match_frequencies(omega, _amplitudes(sines), self.omega())
         for part, frequency in zip(sines, omega, strict=True):
@@ -175,14 +180,14 @@ class FrequencyGainIdentification(EstimatorSpec):
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         polynomial = self._polynomial(record)
-        parts = _sines(record)
+        parts = self._sines(record)
         found = [self._harmonics(part, record) for part in parts]
         offset = np.array([_wave(part).offset for part in parts])
         data = SineResponses.of(self.omega(), found, _amplitudes(parts), offset, self.order)
         gains = frequency_gains(data, polynomial, self.threshold)
         if self.lost == "error" and gains.lost():
             raise EstimationError(gains.why_lost())
-        values = self._gain_values(gains) | self._order_values(found, data.m)
+        values = self._gain_values(gains) | self._order_values(found, data.m) | _rank_values(gains)
         details: dict[str, Any] = {"frequency_gains": gains, "lost": gains.why_lost()}
         if self.nonlinearity is not None:
             values |= coefficient_values(gains.polynomial)
@@ -192,6 +197,22 @@ class FrequencyGainIdentification(EstimatorSpec):
             details["phases"] = phases
         nonlinearity = Polynomial(coefficients=tuple(gains.polynomial.coefficients.tolist()))
         return Estimate(nonlinearity=nonlinearity, values=values, details=details)
+
+    def _sines(self, record: Record) -> list[Part]:
+        """The experiments with a sine that are used.
+
+        Raises
+        ------
+        EstimationError
+            If there is none, or one of those named.
+        """
+        sines = {name: part for name, part in record.parts.items() if _is_sine(part)}
+        if not sines:
+            raise EstimationError("the record has no experiment with a sine applied to a continuous system")
+        for name in self.experiments or ():
+            if name not in sines:
+                raise EstimationError(f"the record has no experiment '{name}' with a sine")
+        return [sines[name] for name in self.experiments or sines]
 
     def _polynomial(self, record: Record) -> PolynomialFit:
         if isinstance(self.nonlinearity, NonlinearityIdentification):
@@ -259,22 +280,19 @@ class FrequencyGainIdentification(EstimatorSpec):
         }
 
 
-def _sines(record: Record) -> list[Part]:
-    """The experiments with a sine.
+def _rank_values(gains: FrequencyGains) -> dict[str, float]:
+    """How many phases there are, how many sums of them were seen, and how many of these are independent."""
+    seen = gains.grid.where(np.isfinite(gains.sums))
+    equations, unknowns = seen.equations.shape
+    return {
+        "phase_unknowns": float(unknowns),
+        "phase_equations": float(equations),
+        "phase_rank": float(unknowns - seen.freedom.shape[1]),
+    }
 
-    Raises
-    ------
-    EstimationError
-        If there is none.
-    """
-    sines = [
-        part
-        for part in record.parts.values()
-        if isinstance(part.waveform, Periodic) and part.waveform.harmonics.tolist() == [1]
-    ]
-    if not sines:
-        raise EstimationError("the record has no experiment with a sine applied to a continuous system")
-    return sines
+
+def _is_sine(part: Part) -> bool:
+    return isinstance(part.waveform, Periodic) and part.waveform.harmonics.tolist() == [1]
 
 
 def _wave(part: Part) -> Periodic:

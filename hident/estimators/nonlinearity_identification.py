@@ -25,8 +25,11 @@ from hident.systems.nonlinearity import Polynomial
 
 @dataclass(frozen=True, eq=False)
 class Staircase:
-    """What a staircase tells: its levels, the polynomial through them, rise time and hold in rise times."""
+    """What a staircase tells: the settled outputs at the abscissas ``x`` (n,), the polynomial through them,
+    rise time and hold in rise times.
+    """
 
+    x: Array
     levels: Levels
     polynomial: PolynomialFit
     rise_time: float
@@ -127,7 +130,7 @@ class NonlinearityIdentification(EstimatorSpec):
         rise = rise_time(
             y[bounds[step] : bounds[step + 1]], part.dt, levels.values[step - 1], levels.values[step]
         )
-        return Staircase(levels, fit, rise, part.dt * float(np.min(np.diff(bounds))) / rise)
+        return Staircase(x, levels, fit, rise, part.dt * float(np.min(np.diff(bounds))) / rise)
 
     def _part(self, record: Record) -> Part:
         held = {name: part for name, part in record.parts.items() if isinstance(part.waveform, Held)}

@@ -45,6 +45,8 @@ class Convergence(OneTrialFigure):
     """Labels of ordinates by parameter or metric, with their units; the name by default."""
     log_y: Flag = False
     """Logarithmic ordinate."""
+    last: Annotated[Count, Field(ge=1)] | None = None
+    """The last iteration that is shown; all by default."""
     columns: Annotated[Count, Field(ge=1)] = 2
     """Panels in a row."""
 
@@ -84,6 +86,7 @@ class Convergence(OneTrialFigure):
             label = curve.text + ("" if history.converged else ", not converged")
             for name, axes in zip(names, grid, strict=True):
                 heights = along(realised, name) if name in self.of else scores(realised, name)
+                heights = heights if self.last is None else heights[: self.last + 1]
                 step = max(1, len(heights) // 12)
                 axes.plot(heights, label=label, markevery=step, **lines[curve.text])
         truth = trial.of(self.curves[0].estimator, self.curves[0].at).truth

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from hident.config.spec import Count, component
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _WORST = 10.0
+# Fewer pairs than this that were not rejected are shown by numbers, since contours need neighbours.
+_FEWEST = 16
 # Between two contour lines lie these shares of the searched pairs, so that any valley shows.
 _SHARES = (0.03, 0.08, 0.16, 0.28, 0.44, 0.62, 0.8)
 
@@ -117,20 +120,13 @@ def _point_out(axes: Axes, text: str, at: tuple[float, float], *, right: bool, t
 
 
 def draw_partition(axes: Axes, search: PartitionSearch) -> None:
-    """Contours of the criterion over the pairs of partition points, and a cross at the best."""
-    import matplotlib as mpl
-
+    """The criterion over the pairs of partition points, by contours or numbers, and a cross at the best."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.ma.masked_invalid(search.loss.T / np.nanmin(search.loss))
-    levels = contour_levels(ratio.compressed())
-    if len(levels) > 1 and min(ratio.shape) > 1:
-        # Light enough for the lines and numbers to be read, darker uphill.
-        colours = mpl.colormaps["Blues"](np.linspace(0.0, 0.6, len(levels)))
-        axes.contourf(search.lower, search.upper, ratio, levels, colors=colours, extend="max")
-        lines = axes.contour(
-            search.lower, search.upper, ratio, levels[1:], colors="black", linewidths=0.5, linestyles="-"
-        )
-        axes.clabel(lines, fmt="%g", fontsize=6.5, inline_spacing=2)
+    if ratio.count() < _FEWEST:
+        _draw_numbers(axes, search, ratio)
+    else:
+        _draw_contours(axes, search, ratio)
     rejected = np.argwhere(~np.isfinite(search.loss))
     if len(rejected):
         axes.plot(
@@ -143,7 +139,7 @@ def draw_partition(axes: Axes, search: PartitionSearch) -> None:
             label="rejected",
         )
     lower, upper = search.best
-    label = "best; contours: criterion / its least value on the grid"
+    label = "best (numbers: criterion / least)"
     look: dict[str, Any] = {
         "color": "black",
         "marker": "+",
@@ -154,10 +150,43 @@ def draw_partition(axes: Axes, search: PartitionSearch) -> None:
     axes.plot(lower, upper, linestyle="none", label=label, **look)
     # In the corner that is farthest from the best pair.
     right, top = (
-        p < 0.5 * (q[0] + q[-1]) for p, q in zip(search.best, (search.lower, search.upper), strict=True)
+        p < 0.5 * sum(shown) for p, shown in zip(search.best, (axes.get_xlim(), axes.get_ylim()), strict=True)
     )
     _point_out(axes, f"({lower:.3g}, {upper:.3g})", search.best, right=right, top=top)
     axes.grid(visible=False)
+
+
+def _draw_contours(axes: Axes, search: PartitionSearch, ratio: np.ma.MaskedArray[Any, Any]) -> None:
+    import matplotlib as mpl
+
+    levels = contour_levels(ratio.compressed())
+    if len(levels) > 1 and min(ratio.shape) > 1:
+        # Light enough for the lines and numbers to be read, darker uphill.
+        colours = mpl.colormaps["Blues"](np.linspace(0.0, 0.6, len(levels)))
+        axes.contourf(search.lower, search.upper, ratio, levels, colors=colours, extend="max")
+        lines = axes.contour(
+            search.lower, search.upper, ratio, levels[1:], colors="black", linewidths=0.5, linestyles="-"
+        )
+        axes.clabel(lines, fmt="%g", fontsize=6.5, inline_spacing=2)
+
+
+def _draw_numbers(axes: Axes, search: PartitionSearch, ratio: np.ma.MaskedArray[Any, Any]) -> None:
+    """The criterion at each pair that was not rejected, in a window around them and the best pair."""
+    for j, i in np.argwhere(~np.ma.getmaskarray(ratio)):
+        at = (search.lower[i], search.upper[j])
+        axes.text(*at, f"{ratio[j, i]:.3g}", fontsize=7, ha="center", va="center", bbox=NOTE)
+    kept = np.isfinite(search.loss)
+    axes.set_xlim(*_window(search.lower, np.any(kept, axis=1), search.best[0]))
+    axes.set_ylim(*_window(search.upper, np.any(kept, axis=0), search.best[1]))
+
+
+def _window(points: Array, kept: NDArray[np.bool_], best: float) -> tuple[float, float]:
+    """The range of the kept points (K,) of a grid and of the best one, to one point beyond on either side."""
+    shown, points = np.append(points[kept], best), np.sort(points)
+    first = max(int(np.searchsorted(points, shown.min())) - 1, 0)
+    last = min(int(np.searchsorted(points, shown.max(), side="right")), len(points) - 1)
+    margin = 0.08 * (points[last] - points[first])
+    return float(points[first] - margin), float(points[last] + margin)
 
 
 def contour_levels(ratio: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +26,9 @@ ESTIMATE: Look = {"color": "#c1440e", "linewidth": 1.1, "zorder": 5}
 DATA: Look = {"color": "0.62", "marker": ".", "linestyle": "none", "markersize": 3, "zorder": 1}
 
 _MARKS = 9
+# Inches that a letter of a legend takes, and a handle with the space around it.
+_LETTER = 0.064
+_HANDLE = 0.55
 _SETTINGS: dict[str, Any] = {
     "font.size": 9,
     "axes.labelsize": 9,
@@ -86,9 +89,20 @@ def panel_grid(count: int, columns: int, width: float, height: float) -> tuple[F
 
 
 def legend_above(figure: Figure) -> None:
-    """One legend above all panels, in which each label stands once."""
+    """One legend above all panels, in which each label stands once, in as few rows as its labels allow."""
     entries = (zip(*axes.get_legend_handles_labels(), strict=True) for axes in figure.axes)
     handles = {label: handle for pairs in entries for handle, label in pairs}
     if handles:
-        columns = min(4, len(handles))
+        columns = legend_columns([len(label) for label in handles], figure.get_figwidth())
         figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=columns)
+
+
+def legend_columns(lengths: Sequence[int], width: float) -> int:
+    """How many columns of labels with these numbers of letters, at least one, fit a width in inches."""
+    count = len(lengths)
+    for rows in range(1, count):
+        # Matplotlib fills column by column.
+        columns = [lengths[i : i + rows] for i in range(0, count, rows)]
+        if _LETTER * sum(map(max, columns)) + _HANDLE * len(columns) <= width:
+            return len(columns)
+    return 1

@@ -133,6 +133,8 @@ class ExperimentPart(Spec):
     """Samples of each period: the sampling interval is then period/samples_per_period."""
     start: Start | None = None
     """Start: periodic (steady state; default of sine and multisine) or equilibrium (before the signal)."""
+    repetitions: AtLeastOne = 1
+    """Times that it is made, with new random numbers each time; several are named NAME 1, NAME 2, ..."""
 
     @model_validator(mode="after")
     def _keys_fit(self) -> Self:
@@ -141,7 +143,8 @@ class ExperimentPart(Spec):
         if isinstance(excitation, Experiments):
             raise ValueError("an experiment cannot consist of experiments: write its parts here")
         if isinstance(excitation, _Several):
-            self._refuse(("samples", "dt", "periods", "samples_per_period", "start"), excitation.kind)
+            keys = ("samples", "dt", "periods", "samples_per_period", "start", "repetitions")
+            self._refuse(keys, excitation.kind)
             return self
         if (self.samples is None) == (self.periods is None):
             found = "neither" if self.samples is None else "both"
@@ -173,7 +176,10 @@ class ExperimentPart(Spec):
                 for stretch in self.excitation.stretches(0, dt)
             )
         samples, step = self._grid(dt)
-        return (Stretch(self.name, self.excitation, samples, step, self.start != "equilibrium"),)
+        several = self.repetitions > 1
+        names = [f"{self.name} {i}" for i in range(1, self.repetitions + 1)] if several else [self.name]
+        settled = self.start != "equilibrium"
+        return tuple(Stretch(name, self.excitation, samples, step, settled) for name in names)
 
     def _grid(self, dt: float) -> tuple[int, float]:
         """Number of samples and sampling interval."""

@@ -90,6 +90,42 @@ STEPS: dict[str, Any] = {
     },
 }
 HORIZONS = {"delay": 0.3, "first": {"n": 2, "m": 1, "horizon": 8}}
+BLOCKS: dict[str, Any] = {
+    "dt": 0.5,
+    "system": {
+        "kind": "wiener_hammerstein",
+        "input_linear": {"kind": "continuous", "a": [0.5]},
+        "nonlinearity": {"kind": "polynomial", "coefficients": [2, 1, 0.5]},
+        "output_linear": {"kind": "continuous", "a": [1]},
+    },
+}
+STAIRCASE = {"kind": "staircase", "levels": [-1, 0, 1], "hold": 40}
+SINES = {
+    "kind": "experiments",
+    "parts": [
+        {"name": "staircase", "excitation": STAIRCASE, "samples": 240},
+        {
+            "name": "sines",
+            "excitation": {
+                "kind": "stepped_sine",
+                "frequencies": [0.5, 1],
+                "periods": 5,
+                "samples_per_period": 32,
+            },
+        },
+    ],
+}
+MULTISINES = {
+    "kind": "experiments",
+    "parts": [
+        {
+            "name": "multisine",
+            "excitation": {"kind": "multisine", "period": 32, "rms": 1, "grid": "odd", "highest": 5},
+            "periods": 2,
+            "repetitions": 3,
+        }
+    ],
+}
 # A new estimator gets all tests of this file by one line here.
 EXAMPLES = [
     Example({"kind": "kernel", "kernel": "window_unit", "bandwidth": BANDWIDTH}, invariances=MEMORYLESS),
@@ -161,7 +197,56 @@ EXAMPLES = [
         linear={"kind": "fir", "b": [1.0]},
         invariances=frozenset(),
     ),
+    Example(
+        {
+            "kind": "output_error",
+            "start": {
+                "kind": "iterative_hammerstein",
+                "nonlinearity": {"kind": "polynomial", "degree": 3},
+                **HORIZONS,
+            },
+        },
+        **MOVING,
+    ),
+    Example(
+        {
+            "kind": "output_error",
+            "start": {
+                "kind": "iterative_wiener",
+                "nonlinearity": {"kind": "four_segment", "partition": [-0.3, 0.6]},
+                **HORIZONS,
+            },
+        },
+        **MOVING,
+        **STEPS,
+        invariances=frozenset(),
+    ),
     Example({"kind": "linear_model", "delay": 0.3, "block": {"n": 2, "m": 1, "horizon": 8}}, **MOVING),
+    Example(
+        {"kind": "nonlinearity_identification", "degree": 2},
+        **BLOCKS,
+        excitation=STAIRCASE,
+        samples=240,
+    ),
+    Example(
+        {
+            "kind": "frequency_gain_identification",
+            "frequencies": [0.5, 1],
+            "order": 2,
+            "nonlinearity": {"kind": "nonlinearity_identification", "degree": 2},
+            "phases": "single",
+            "gauge": {"kind": "rational", "input": [0, 1], "output": [0, 1]},
+        },
+        **BLOCKS,
+        excitation=SINES,
+        samples=560,
+    ),
+    Example(
+        {"kind": "best_linear_approximation", "harmonics": [1, 3]},
+        **BLOCKS,
+        excitation=MULTISINES,
+        samples=192,
+    ),
 ]
 
 

@@ -25,7 +25,8 @@ TYPES: dict[str, Any] = {
     "integer": int,
     "number": int | float,
 }
-ANNOTATIONS = {"$defs", "$schema", "title", "description", "default"}
+# Pydantic writes a discriminator beside "oneOf", which says the same.
+ANNOTATIONS = {"$defs", "$schema", "title", "description", "default", "discriminator"}
 
 
 def complaints(value, rule, definitions, at="file"):

@@ -309,3 +309,30 @@ class TestWhatCannotBeMade:
             "this hammerstein starts as its linear blocks say: leave it out"
         )
         assert data(excitation, 240).excitation.chooses_start()
+
+
+class TestRepetitions:
+    MULTISINE: dict[str, Any] = {
+        "name": "m",
+        "excitation": {"kind": "multisine", "period": 16, "rms": 1},
+        "periods": 2,
+        "repetitions": 3,
+    }
+
+    def test_each_has_its_own_random_numbers_and_name(self):
+        record = generate(data(experiments(self.MULTISINE), 96), 1, 0)
+        assert list(record.parts) == ["m 1", "m 2", "m 3"]
+        u = [record.u[part.samples] for part in record.parts.values()]
+        for one in u:
+            np.testing.assert_allclose(one[:16], one[16:], atol=1e-12)
+        assert not np.allclose(u[0], u[1])
+        assert not np.allclose(u[1], u[2])
+
+    def test_a_single_one_keeps_its_name(self):
+        (stretch,) = experiments({**self.MULTISINE, "repetitions": 1}).stretches(0, 1.0)
+        assert stretch.name == "m"
+
+    def test_a_series_cannot_be_repeated(self):
+        sines = {"kind": "stepped_sine", "frequencies": [1], "periods": 2, "samples_per_period": 8}
+        part = {"name": "s", "excitation": sines, "repetitions": 2}
+        assert message(lambda: experiments(part)) == "the excitation stepped_sine takes no repetitions here"

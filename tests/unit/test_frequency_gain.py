@@ -13,6 +13,7 @@ from hident.estimators.frequency_gain import frequency_gains
 from hident.estimators.frequency_gain_identification import FrequencyGainIdentification
 from hident.estimators.gauge import AMBIGUITY
 from hident.estimators.sine_responses import SineResponses
+from hident.estimators.staircase_levels import PolynomialFit
 from hident.records import Part, Periodic, Record
 from hident.signals.experiments import LogSpaced, SteppedSine
 from tests.unit.steady_sines import CUBIC, exact, found, g_i, g_o, record, steady
@@ -426,3 +427,36 @@ def test_a_band_is_that_of_the_stepped_sine():
 def test_a_gauge_by_its_name():
     assert estimator(gauge="minimum_phase", phases="single").gauge.kind == "minimum_phase"
     assert not estimator().draws()
+
+
+def test_chosen_experiments_are_used_and_others_left():
+    several = record({**SINES, 0.05: 0.7})
+    chosen = [f"sine {w}" for w in PAPER]
+    found = known(experiments=chosen).fit(several, RNG).values
+    assert found == pytest.approx(known().fit(record(SINES), RNG).values, rel=1e-6)
+    with pytest.raises(EstimationError, match=r"^the record has no experiment 'other' with a sine$"):
+        known(experiments=["sine 0.01", "other"]).check_record(several)
+
+
+@pytest.mark.parametrize(
+    ("multiples", "unknowns", "equations", "rank"),
+    [(1, 4, 3, 3), (2, 7, 6, 6), (3, 9, 9, 8), (4, 12, 12, 11), (6, 18, 18, 16)],
+)
+def test_the_equations_for_single_phases_are_always_short_of_rank(multiples, unknowns, equations, rank):
+    frequencies = [0.01 * k for k in range(1, multiples + 1)]
+    values = known(frequencies=frequencies).fit(record(dict.fromkeys(frequencies, 1.5)), RNG).values
+    found = [values[f"phase_{name}"] for name in ("unknowns", "equations", "rank")]
+    assert found == [unknowns, equations, rank]
+
+
+@pytest.mark.parametrize("errors", [(1e-2, 1e-2, 1e-3, 1e-3, 1e-3), (1e-4, 1e-4, 1e-4, 1e-4, 1e-3)])
+def test_a_polynomial_that_meets_the_mean_again_outside_the_staircase_does_not_mislead(errors):
+    """At an amplitude of 6.8 this one is back at the mean of 1.5, but known hundreds of times less well."""
+    c = np.array([50.0, 10.0, 1.0, 0.0, -1.0 / 36.0])
+    covariance = np.diag(errors) ** 2.0
+    for seed in range(8):
+        data = responses(
+            [0.01], [(0.01, 1.5, 0.0)], order=2, c=c, noise=0.01, rng=np.random.default_rng(seed)
+        )
+        found = frequency_gains(data, PolynomialFit(c, covariance))
+        assert found.gains[0][0] == pytest.approx(abs(g_i(0.01)), rel=0.05)

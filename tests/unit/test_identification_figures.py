@@ -91,7 +91,7 @@ class Stated(EstimatorSpec):
     def provides(self):
         if self.plain:
             return frozenset({"value a_1", "value b_0"})
-        names = ("a_1", "b_0", "settling_time", "u_-1", "u_1", "y_-1", "y_1")
+        names = ("a_1", "b_0", "u_-1", "u_1", "y_-1", "y_1")
         return frozenset({"response", "nonlinearity", "continuous", *(f"value {name}" for name in names)})
 
     def fit(self, record, rng):
@@ -99,8 +99,7 @@ class Stated(EstimatorSpec):
             raise EstimationError("the matrix is singular")
         if self.plain:
             return Estimate(values={"a_1": 2.0, "b_0": 1.0})
-        values = {"a_1": 2.0, "b_0": 1.0, "settling_time": 3.0 * self.gain}
-        values |= {"u_-1": -0.55, "u_1": 0.52, "y_-1": -0.5, "y_1": 0.4}
+        values = {"a_1": 2.0, "b_0": 1.0, "u_-1": -0.55, "u_1": 0.52, "y_-1": -0.5, "y_1": 0.4}
         x = self.gain * np.tanh(record.u)
         steps = np.arange(9.0)
         wave: Array = np.power(-1.0 if self.oscillates else 0.3, steps)
@@ -406,6 +405,10 @@ class TestStaticFit:
         curve = StaticCurve(estimator="one", linear=linear)
         assert curve.of(found, np.array([2.0])) == pytest.approx([expected])
 
+    def test_the_curve_of_a_linear_model_is_its_static_gain(self):
+        found = replace(Stated().fit(_record(), None), nonlinearity=None, continuous=LINEAR.scaled(3.0))
+        assert StaticCurve(estimator="one").of(found, np.array([-2.0, 1.5])) == pytest.approx([-6.0, 4.5])
+
     def test_one_legend_names_everything_once(self, draw):
         (legend,) = draw("static_fit", STATIC).legends
         texts = [text.get_text() for text in legend.get_texts()]
@@ -432,6 +435,11 @@ class TestConvergence:
         assert lines_of(score)["two, not converged"].get_ydata() == pytest.approx(np.full(9, expected))
         assert score.get_ylabel() == "percent error of linear parameters, %"
         assert parameter.get_ylabel() == "$a_{1}$"
+
+    def test_later_iterations_may_be_left_out(self, draw):
+        parameter, score = draw("convergence", CONVERGENCE + "last: 3\n").axes
+        assert lines_of(parameter)["one"].get_ydata() == pytest.approx(2.0 + 0.3 ** np.arange(4))
+        assert len(lines_of(score)["one"].get_ydata()) == 4
 
     def test_a_metric_of_the_linear_block_sees_every_iterate(self):
         found = Stated().fit(_record(), None)
@@ -508,6 +516,16 @@ class TestValidation:
             "the actual response failed: the solver broke down"
         ]
 
+    def test_an_unstable_model_is_said(self, draw, monkeypatch):
+        fit = Stated.fit
+        unstable = ContinuousTransferFunction((1.0,), (-2.0,))
+        monkeypatch.setattr(Stated, "fit", lambda *given: replace(fit(*given), continuous=unstable))
+        responses = draw("validation", VALIDATION).axes[1]
+        assert list(lines_of(responses)) == ["actual"]
+        assert [text.get_text() for text in responses.texts] == [
+            "one failed: its linear block is unstable\ntwo failed: its linear block is unstable"
+        ]
+
 
 class TestSettlingMap:
     def test_the_linearised_system_and_the_constants_of_the_estimates(self, draw):
@@ -516,8 +534,9 @@ class TestSettlingMap:
         x, times = lines["linearised system"].get_data()
         assert np.isnan(times[x == 20.0]).all()
         assert times[x != 20.0] == pytest.approx(0.1 * x[x != 20.0])
-        assert lines["one"].get_ydata() == pytest.approx(np.full(len(x), 3.3))
-        assert lines["two"].get_ydata() == pytest.approx(np.full(len(x), 2.4))
+        # A lag of 2 settles to 5 % after 2 ln 20.
+        assert lines["one"].get_ydata() == pytest.approx(np.full(len(x), 2.0 * np.log(20.0)), rel=1e-4)
+        assert lines.keys() == {"linearised system", "one", "two"}
 
 
 def errors(reach):
@@ -700,7 +719,7 @@ def test_an_unknown_name_is_refused_when_the_file_is_read(make, kind, fields, me
         (
             "settling_map",
             SETTLING.replace("estimator: two", "estimator: plain"),
-            r"figures.f.curves\[1\].estimator: the estimator 'plain' does not give a value settling_time",
+            r"figures.f.curves\[1\].estimator: the estimator 'plain' does not give a linear block in ",
         ),
         (
             "limit",

@@ -1,0 +1,240 @@
+"""Gains and phases of the two linear blocks around a nonlinearity, at the frequencies of a record's sines.
+
+The names are those of the estimates, for the frequency number m = 1, 2, ... and the harmonic k:
+
+    gain_i_m = |Gi(j w_m)|, gain_o_m_k = |Go(j k w_m)|, phase_i_m and phase_o_m_k their phases,
+    phase_sum_m_k = k phase_i_m + phase_o_m_k, series_gain_m = gain_i_m gain_o_m_1.
+
+Gains are relative to the static ones, and phases are continuous from zero at w = 0.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from hident.config.spec import Count, Flag, component
+from hident.metrics.base import MetricSpec
+from hident.records import Array, Estimate, Periodic, Record, Truth
+from hident.systems.continuous import Complex, ContinuousTransferFunction
+from hident.systems.continuous_wiener_hammerstein import respond
+
+_NAME = re.compile(r"(gain_i|phase_i|series_gain)_(\d+)|(gain_o|phase_o|phase_sum)_(\d+)_(\d+)")
+_RANGE = re.compile(r"(\d+)\.\.(\d+)")
+# Frequencies this close, relative to their size, are one.
+_SAME = 1e-9
+
+
+def sine_frequencies(record: Record) -> Array:
+    """The angular frequencies w_1 < w_2 < ... of the record's experiments with sines, shape (n,)."""
+    waves = [part.waveform for part in record.parts.values()]
+    sines = [w for w in waves if isinstance(w, Periodic) and w.harmonics.tolist() == [1]]
+    omega = np.sort([2.0 * math.pi / wave.period for wave in sines])
+    return omega[np.diff(omega, prepend=0.0) > _SAME * omega]
+
+
+def gain(block: ContinuousTransferFunction, omega: Array) -> Array:
+    """|G(jw) / G(0)|, of the shape of ``omega``."""
+    return np.asarray(np.abs(block.frequency_response(omega) / block.b[0]))
+
+
+def phase(block: ContinuousTransferFunction, omega: Array) -> Array:
+    """The phase of G(jw) / G(0) in radians, continuous from zero at w = 0, of the shape of ``omega`` (n,)."""
+
+    def of(roots: Complex) -> Array:
+        return np.asarray(np.sum(np.angle(1.0 - 1j * omega[:, None] / roots), axis=1))
+
+    return of(block.zeros()) - of(block.poles()) - block.delay * omega
+
+
+def true_response(name: str, truth: Truth, omega: Array) -> float:
+    """The true gain or phase of a name, given the frequencies w_1, w_2, ... (n,); nan beyond the last."""
+    quantity, m, k = _parsed(name)
+    if m > len(omega):
+        return math.nan
+    first, second = truth.blocks["input"], truth.blocks["output"]
+    at, harmonic = omega[m - 1 : m], k * omega[m - 1 : m]
+    match quantity:
+        case "gain_i":
+            found = gain(first, at)
+        case "gain_o":
+            found = gain(second, harmonic)
+        case "series_gain":
+            found = gain(first, at) * gain(second, at)
+        case "phase_i":
+            found = phase(first, at)
+        case "phase_o":
+            found = phase(second, harmonic)
+        case _:
+            found = k * phase(first, at) + phase(second, harmonic)
+    return float(found[0])
+
+
+def _parsed(name: str) -> tuple[str, int, int]:
+    """Quantity, frequency number m and harmonic k of a name."""
+    found = _NAME.fullmatch(name)
+    if found is None:
+        raise ValueError(
+            f"'{name}' is no gain or phase: write gain_i_M, gain_o_M_K, phase_i_M, phase_o_M_K, "
+            "phase_sum_M_K or series_gain_M, with M..N for several frequencies"
+        )
+    alone, m, both, n, k = found.groups()
+    return (alone, int(m), 1) if alone else (both, int(n), int(k))
+
+
+def _expanded(of: tuple[str, ...]) -> tuple[str, ...]:
+    """The names, each range M..N written out."""
+    names: list[str] = []
+    for name in of:
+        span = _RANGE.search(name)
+        numbers = range(int(span[1]), int(span[2]) + 1) if span else ()
+        several = [_RANGE.sub(str(number), name, count=1) for number in numbers] if span else [name]
+        if not several:
+            raise ValueError(f"the range in '{name}' must rise")
+        names += several
+    for name in names:
+        _parsed(name)
+    return tuple(names)
+
+
+class _OfResponses(MetricSpec):
+    of: Annotated[tuple[str, ...], Field(min_length=1), AfterValidator(_expanded)]
+    """Names such as gain_i_1, phase_o_1_2 or series_gain_1; M..N stands for several frequencies."""
+
+    def labels(self, name: str) -> tuple[str, ...]:
+        return tuple(f"{name} {value}" for value in self.of)
+
+
+class _Estimated(_OfResponses):
+    def needs_of_estimate(self) -> frozenset[str]:
+        return frozenset(f"value {part}" for name in self.of for part in _factors(name))
+
+    def estimates(self, estimate: Estimate) -> list[float]:
+        return [_product(name, estimate.values) for name in self.of]
+
+
+class _True(_OfResponses):
+    def needs_of_truth(self) -> frozenset[str]:
+        return frozenset({"blocks"})
+
+    def truths(self, record: Record) -> list[float]:
+        assert record.truth is not None
+        omega = sine_frequencies(record)
+        return [true_response(name, record.truth, omega) for name in self.of]
+
+
+def _factors(name: str) -> tuple[str, ...]:
+    """The values of an estimate whose product a name is."""
+    quantity, m, _ = _parsed(name)
+    return (f"gain_i_{m}", f"gain_o_{m}_1") if quantity == "series_gain" else (name,)
+
+
+def _product(name: str, values: Mapping[str, float]) -> float:
+    return math.prod(values[factor] for factor in _factors(name))
+
+
+@component("metric", "response")
+class Response(_Estimated):
+    """Estimated gains and phases of the two linear blocks at the frequencies of the sines."""
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        return self.estimates(estimate)
+
+
+@component("metric", "true_response")
+class TrueResponse(_True):
+    """True gains and phases of the two linear blocks at the frequencies of the sines."""
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        return self.truths(record)
+
+
+@component("metric", "response_error")
+class ResponseError(_Estimated, _True):
+    """Estimated minus true gains and phases of the two linear blocks."""
+
+    relative: Flag = False
+    """In percent of the true gain or phase."""
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        pairs = zip(self.estimates(estimate), self.truths(record), strict=True)
+        return [(found - true) * (100.0 / true if self.relative else 1.0) for found, true in pairs]
+
+
+@component("metric", "gain_shape_error")
+class GainShapeError(MetricSpec):
+    """Percent error of |Gi Go| over the frequencies (root mean square), a common factor apart.
+
+    A best linear approximation knows the blocks up to a factor only. Its gains gain_K are taken at the
+    harmonics of the multisines, those of sines at their own frequencies, lowest first.
+    """
+
+    harmonics: Annotated[tuple[Annotated[Count, Field(ge=1)], ...], Field(min_length=2)]
+    """Harmonics K of the multisines' period; as many sines have their frequencies."""
+
+    def needs_of_truth(self) -> frozenset[str]:
+        return frozenset({"blocks"})
+
+    def needs_of_estimate(self) -> frozenset[str]:
+        numbered = enumerate(self.harmonics, start=1)
+        return frozenset(
+            f"value gain_{k} or value {part}" for m, k in numbered for part in _factors(f"series_gain_{m}")
+        )
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        assert record.truth is not None
+        names = [f"gain_{k}" for k in self.harmonics]
+        if names[0] in estimate.values:
+            omega = np.array(self.harmonics) * _lowest_frequency(record)
+            found = [estimate.values[name] for name in names]
+        else:
+            omega = sine_frequencies(record)[: len(names)]
+            found = [_product(f"series_gain_{m}", estimate.values) for m in range(1, len(names) + 1)]
+        blocks = record.truth.blocks
+        away = np.log(found / (gain(blocks["input"], omega) * gain(blocks["output"], omega)))
+        return (100.0 * float(np.std(away, ddof=1)),)
+
+
+def _lowest_frequency(record: Record) -> float:
+    """The fundamental frequency of the record's multisines."""
+    waves = [part.waveform for part in record.parts.values()]
+    return next(2.0 * math.pi / w.period for w in waves if isinstance(w, Periodic) and len(w.harmonics) > 1)
+
+
+@component("metric", "moved_delay")
+class MovedDelay(MetricSpec):
+    """Largest change of the noise-free output, relative to its range, when Go's delay moves to Gi."""
+
+    experiments: Annotated[tuple[str, ...], Field(min_length=1)]
+    """Names of experiments, one number each; a name stands for its series NAME 1, NAME 2, ... too."""
+
+    def labels(self, name: str) -> tuple[str, ...]:
+        return tuple(f"{name} {experiment}" for experiment in self.experiments)
+
+    def needs_of_truth(self) -> frozenset[str]:
+        return frozenset({"blocks", "nonlinearity"})
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        assert record.truth is not None
+        return [_change(record, record.truth, name) for name in self.experiments]
+
+
+def _change(record: Record, truth: Truth, experiment: str) -> float:
+    """The largest relative change over the experiments of a name; nan if there is none."""
+    assert truth.nonlinearity is not None
+    first, second = truth.blocks["input"], truth.blocks["output"]
+    delayed = replace(first, delay=first.delay + second.delay), replace(second, delay=0.0)
+    changes = [math.nan]
+    for name, part in record.parts.items():
+        if name == experiment or name.startswith(f"{experiment} "):
+            signal = part.waveform, len(part), part.dt
+            one = respond(first, truth.nonlinearity, second, *signal)
+            other = respond(delayed[0], truth.nonlinearity, delayed[1], *signal)
+            changes.append(float(np.max(np.abs(one - other)) / np.ptp(one)))
+    return float(np.fmax.reduce(changes))
