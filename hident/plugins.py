@@ -28,8 +28,8 @@ def load(files: Iterable[Path] = ()) -> None:
     """
     for room in _ROOMS:
         package = importlib.import_module(f"hident.{room}")
-        for module in pkgutil.iter_modules(package.__path__):
-            importlib.import_module(f"hident.{room}.{module.name}")
+        for module in pkgutil.walk_packages(package.__path__, f"hident.{room}."):
+            importlib.import_module(module.name)
     problems = [
         *(_tried(f"plugin '{e.name}' ({e.value})", e.load) for e in entry_points(group=GROUP)),
         *(_tried(f"plugin {path}", partial(_load_file, path)) for path in files),

@@ -26,9 +26,9 @@ from pydantic import Field
 from hident.config.spec import Count, Flag, Real, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, require_finite
-from hident.estimators.bilinear import lengths
-from hident.estimators.least_squares import ILL_CONDITIONED
-from hident.estimators.searches import History
+from hident.estimators.bilinear_models.bilinear import lengths
+from hident.estimators.moving_horizon.searches import History
+from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
 from hident.records import Array, Characteristic, Estimate, Record, Response
 from hident.systems.linear import TransferFunction
 

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from hident.config.spec import Count, Flag, component
 from hident.engine.experiment import Plan
 from hident.engine.results import Results
-from hident.estimators.searches import History
+from hident.estimators.moving_horizon.searches import History
 from hident.ledger.verdicts import Verdict
 from hident.metrics.base import MetricSpec
 from hident.records import Array, Estimate

@@ -12,7 +12,7 @@ from hident.config.spec import Count, component
 from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
 from hident.engine.trial import generate
-from hident.estimators.nonlinearity_identification import NonlinearityIdentification
+from hident.estimators.frequency.nonlinearity_identification import NonlinearityIdentification
 from hident.ledger.verdicts import Verdict
 from hident.metrics import frequency
 from hident.records import Array, Record

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from hident.config.spec import Count, component
 from hident.engine.results import Results
-from hident.estimators.searches import PartitionSearch, StructureSearch
+from hident.estimators.moving_horizon.searches import PartitionSearch, StructureSearch
 from hident.ledger.verdicts import Verdict
 from hident.records import Array
 from hident.reports.base import Reference

@@ -17,10 +17,10 @@ from hident import plugins
 from hident.engine.executors import pin_blas
 from hident.engine.experiment import load
 from hident.engine.trial import Data, generate
-from hident.estimators.iterative import IterativeSpec
-from hident.estimators.iterative_hammerstein import IterativeHammerstein
-from hident.estimators.linear_transform import SecondStageSpec, StageSpec
-from hident.estimators.time_weighted import Horizons, Knots
+from hident.estimators.moving_horizon.iterative import IterativeSpec
+from hident.estimators.moving_horizon.iterative_hammerstein import IterativeHammerstein
+from hident.estimators.moving_horizon.linear_transform import SecondStageSpec, StageSpec
+from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
 from hident.records import Array, Record
 from tests.benchmarks import chen_plain
 from tests.benchmarks.scaling import exponent, per_sample

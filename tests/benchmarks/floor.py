@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from hident.engine.trial import Data
-from hident.estimators.fourier import Complex
+from hident.estimators.nonparametric.fourier import Complex
 from hident.records import Array
 from tests.benchmarks.table1 import ALPHA, FEEDBACK, H0, HALF_WIDTH, LENGTH, Q0
 

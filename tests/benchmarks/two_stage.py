@@ -21,10 +21,10 @@ from hident import plugins
 from hident.engine.executors import pin_blas
 from hident.engine.experiment import load
 from hident.engine.trial import Data, generate
-from hident.estimators.bilinear import Regression, regressors
-from hident.estimators.bilinear_least_squares import BilinearLeastSquares
-from hident.estimators.known_basis import BilinearSpec
-from hident.estimators.two_stage import TwoStage, TwoStageAlgorithm, two_stage
+from hident.estimators.bilinear_models.bilinear import Regression, regressors
+from hident.estimators.bilinear_models.bilinear_least_squares import BilinearLeastSquares
+from hident.estimators.bilinear_models.known_basis import BilinearSpec
+from hident.estimators.bilinear_models.two_stage import TwoStage, TwoStageAlgorithm, two_stage
 from hident.records import Array, Record
 from tests.benchmarks.timing import interleaved, show
 

@@ -19,7 +19,7 @@ from hident.config.spec import PLURALS, Component, Family, Of, Spec, canonical, 
 from hident.engine.trial import Data, Job, estimate, generate
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec
-from hident.estimators.bases import BasisSpec
+from hident.estimators.nonparametric.bases import BasisSpec
 from hident.metrics.base import MetricSpec
 from hident.records import Record
 from hident.reports.base import FigureSpec, TableSpec

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hident.estimators.static_functions import PolynomialFunction, ThreeSegmentFunction
+from hident.estimators.moving_horizon.static_functions import PolynomialFunction, ThreeSegmentFunction
 from hident.records import Array, Record
 from hident.systems.continuous import ContinuousTransferFunction
 

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hident.estimators.harmonics import harmonics
-from hident.estimators.staircase_levels import PolynomialFit
+from hident.estimators.frequency.harmonics import harmonics
+from hident.estimators.frequency.staircase_levels import PolynomialFit
 from hident.records import Held, Part, Periodic, Record
 
 CUBIC = np.array([50.0, 10.0, 1.0, 1.0 / 15.0])

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hident.errors import EstimationError
-from hident.estimators.ar_noise import METHODS, ArModel, EstimatedAr, chi_squared, f_test, fpe
+from hident.estimators.bilinear_models.ar_noise import METHODS, ArModel, EstimatedAr, chi_squared, f_test, fpe
 from hident.systems.linear import TransferFunction
 
 QUICK = settings(deadline=None, derandomize=True, max_examples=40)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hident.errors import EstimationError
-from hident.estimators.best_linear_approximation import BestLinear, best_linear_approximation
+from hident.estimators.frequency.best_linear_approximation import BestLinear, best_linear_approximation
 from hident.records import Part, Periodic, Record
 
 N = 64

@@ -6,16 +6,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hident.errors import EstimationError
-from hident.estimators import bilinear_least_squares as module
-from hident.estimators.bilinear import Regression, inverse_gram, loss, normalised, regressors, root_of
-from hident.estimators.bilinear_least_squares import (
+from hident.estimators.bilinear_models import bilinear_least_squares as module
+from hident.estimators.bilinear_models.bilinear import (
+    Regression,
+    inverse_gram,
+    loss,
+    normalised,
+    regressors,
+    root_of,
+)
+from hident.estimators.bilinear_models.bilinear_least_squares import (
     BilinearLeastSquares,
     bilinear_least_squares,
     complement,
     jacobian,
 )
-from hident.estimators.bounds import CramerRao
-from hident.estimators.two_stage import TwoStageAlgorithm, two_stage
+from hident.estimators.bilinear_models.bounds import CramerRao
+from hident.estimators.bilinear_models.two_stage import TwoStageAlgorithm, two_stage
 from hident.records import Record, Truth
 from hident.systems.linear import TransferFunction
 from hident.systems.nonlinearity import Polynomial

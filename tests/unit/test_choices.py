@@ -11,7 +11,7 @@ from hident import plugins
 from hident.engine.experiment import load
 from hident.engine.results import Results, Series
 from hident.errors import ConfigError
-from hident.estimators.searches import PartitionSearch
+from hident.estimators.moving_horizon.searches import PartitionSearch
 from hident.ledger.verdicts import judge
 from hident.reports.output import check
 from hident.reports.scatter import rank_correlation

@@ -419,7 +419,8 @@ class TestMessages:
                 ("of: [a_1]", "of: [b_7]"),
                 [
                     "16: metrics.a: the metric 'error' needs the value b_7 of the system, which "
-                    "'hammerstein' does not have (it has: linear, nonlinearity, response, value a_1, value b_0)",
+                    "'hammerstein' does not have "
+                    "(it has: linear, nonlinearity, response, value a_1, value b_0)",
                 ],
             ),
             (

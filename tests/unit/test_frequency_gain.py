@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from hident.errors import EstimationError
-from hident.estimators.frequency_gain import frequency_gains
-from hident.estimators.frequency_gain_identification import FrequencyGainIdentification
-from hident.estimators.gauge import AMBIGUITY
-from hident.estimators.sine_responses import SineResponses
-from hident.estimators.staircase_levels import PolynomialFit
+from hident.estimators.frequency.frequency_gain import frequency_gains
+from hident.estimators.frequency.frequency_gain_identification import FrequencyGainIdentification
+from hident.estimators.frequency.gauge import AMBIGUITY
+from hident.estimators.frequency.sine_responses import SineResponses
+from hident.estimators.frequency.staircase_levels import PolynomialFit
 from hident.records import Part, Periodic, Record
 from hident.signals.experiments import LogSpaced, SteppedSine
 from tests.unit.steady_sines import CUBIC, exact, found, g_i, g_o, record, steady

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from hident.errors import EstimationError
-from hident.estimators.frequency_gain import FrequencyGains
-from hident.estimators.gauge import (
+from hident.estimators.frequency.frequency_gain import FrequencyGains
+from hident.estimators.frequency.gauge import (
     AMBIGUITY,
     FrequencyGrid,
     bode_weights,
@@ -19,8 +19,8 @@ from hident.estimators.gauge import (
     solve_phases,
     unwrap_along,
 )
-from hident.estimators.gauges import DelayFree, KnownPhase, MinimumPhase, Rational
-from hident.estimators.rational_gauge import fit_rational
+from hident.estimators.frequency.gauges import DelayFree, KnownPhase, MinimumPhase, Rational
+from hident.estimators.frequency.rational_gauge import fit_rational
 from tests.unit.steady_sines import exact, g_i, g_o
 
 QUICK = settings(deadline=None, derandomize=True, max_examples=30)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hident.estimators.harmonic_map import (
+from hident.estimators.frequency.harmonic_map import (
     harmonic_matrix,
     harmonic_matrix_slope,
     powers_in_chebyshev,

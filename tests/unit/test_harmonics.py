@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hident.errors import EstimationError
-from hident.estimators.harmonics import (
+from hident.estimators.frequency.harmonics import (
     Harmonics,
     harmonics,
     order_by_power,

@@ -14,7 +14,7 @@ from hident.engine.experiment import load
 from hident.engine.results import Results, Series
 from hident.errors import ConfigError, EstimationError, SimulationError
 from hident.estimators.base import EstimatorSpec
-from hident.estimators.searches import History, PartitionSearch, StructureSearch
+from hident.estimators.moving_horizon.searches import History, PartitionSearch, StructureSearch
 from hident.ledger.verdicts import judge
 from hident.records import Array, Estimate, Record, Truth
 from hident.reports.convergence import iterates

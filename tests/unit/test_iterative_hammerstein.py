@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from hident.errors import EstimationError
-from hident.estimators import iterative_hammerstein
-from hident.estimators.hammerstein_iteration import iterate
-from hident.estimators.hammerstein_stage import first_stage
-from hident.estimators.iterative_hammerstein import IterativeHammerstein
-from hident.estimators.moving_horizon import solve
-from hident.estimators.sandwich import standard_errors
-from hident.estimators.static_functions import (
+from hident.estimators.moving_horizon import iterative_hammerstein
+from hident.estimators.moving_horizon.hammerstein_iteration import iterate
+from hident.estimators.moving_horizon.hammerstein_stage import first_stage
+from hident.estimators.moving_horizon.horizon_least_squares import solve
+from hident.estimators.moving_horizon.iterative_hammerstein import IterativeHammerstein
+from hident.estimators.moving_horizon.sandwich import standard_errors
+from hident.estimators.moving_horizon.static_functions import (
     PolynomialFunction,
     ThreeSegmentFunction,
     powers,

@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from hident.errors import EstimationError
-from hident.estimators.kernel import Bandwidth, Kernel, KernelEstimator, KernelRegression, kernel_regression
+from hident.estimators.nonparametric.kernel import (
+    Bandwidth,
+    Kernel,
+    KernelEstimator,
+    KernelRegression,
+    kernel_regression,
+)
 from hident.records import Array, Record
 
 # The definitions of the paper and of the docstring, not those of the code under test.

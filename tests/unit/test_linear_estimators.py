@@ -7,12 +7,15 @@ import pytest
 from pydantic import ValidationError
 
 from hident.errors import EstimationError
-from hident.estimators.instrumental_variables import InstrumentalVariables, instrumental_variables
-from hident.estimators.kernel import KernelEstimator, kernel_regression
-from hident.estimators.known_dynamics import KnownDynamics
-from hident.estimators.least_squares import LeastSquares, least_squares
-from hident.estimators.orthogonal import Orthogonal
-from hident.estimators.prefilter import FilteredRecord, prefilter
+from hident.estimators.nonparametric.instrumental_variables import (
+    InstrumentalVariables,
+    instrumental_variables,
+)
+from hident.estimators.nonparametric.kernel import KernelEstimator, kernel_regression
+from hident.estimators.nonparametric.known_dynamics import KnownDynamics
+from hident.estimators.nonparametric.least_squares import LeastSquares, least_squares
+from hident.estimators.nonparametric.orthogonal import Orthogonal
+from hident.estimators.nonparametric.prefilter import FilteredRecord, prefilter
 from hident.records import Record
 from hident.systems.linear import TransferFunction
 from hident.systems.nonlinearity import Identity, Power

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from hident.estimators.iterative import padded, second_horizon
-from hident.estimators.linear_model import LinearModel
+from hident.estimators.moving_horizon.iterative import padded, second_horizon
+from hident.estimators.moving_horizon.linear_model import LinearModel
 from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.nonlinearity import ChenType1
 from tests.unit.multisteps import BLOCK, record

@@ -8,9 +8,9 @@ from pydantic import TypeAdapter, ValidationError
 
 from hident.config.spec import Of
 from hident.errors import EstimationError
-from hident.estimators import fourier
-from hident.estimators.bases import BasisSpec, Hermite, Laguerre, Legendre, Trigonometric
-from hident.estimators.orthogonal import (
+from hident.estimators.nonparametric import fourier
+from hident.estimators.nonparametric.bases import BasisSpec, Hermite, Laguerre, Legendre, Trigonometric
+from hident.estimators.nonparametric.orthogonal import (
     GaussianDensity,
     Orthogonal,
     Terms,

@@ -139,7 +139,7 @@ def test_a_broken_installed_plugin_is_named(monkeypatch):
             "mine.py",
             PLUGIN.format(kind="kernel"),
             " cannot be loaded: ValueError: estimator 'kernel' is already defined in "
-            "hident.estimators.kernel",
+            "hident.estimators.nonparametric.kernel",
         ),
     ],
 )

@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from hident.errors import EstimationError
-from hident.estimators.bilinear import regressors
-from hident.estimators.separable import SeparableLeastSquares, inner_solution, separable_least_squares, start
+from hident.estimators.bilinear_models.bilinear import regressors
+from hident.estimators.bilinear_models.separable import (
+    SeparableLeastSquares,
+    inner_solution,
+    separable_least_squares,
+    start,
+)
 from hident.records import Record
 from hident.systems.linear import TransferFunction
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from hident.errors import EstimationError
-from hident.estimators.nonlinearity_identification import NonlinearityIdentification
-from hident.estimators.staircase_levels import (
+from hident.estimators.frequency.nonlinearity_identification import NonlinearityIdentification
+from hident.estimators.frequency.staircase_levels import (
     Levels,
     fit_polynomial,
     level_bounds,

@@ -9,9 +9,16 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from hident.errors import EstimationError
-from hident.estimators.bilinear import Regression, inverse_gram, loss, normalised, regressors, root_of
-from hident.estimators.bounds import CramerRao, KnownNonlinearity
-from hident.estimators.two_stage import TwoStageAlgorithm, leading, two_stage
+from hident.estimators.bilinear_models.bilinear import (
+    Regression,
+    inverse_gram,
+    loss,
+    normalised,
+    regressors,
+    root_of,
+)
+from hident.estimators.bilinear_models.bounds import CramerRao, KnownNonlinearity
+from hident.estimators.bilinear_models.two_stage import TwoStageAlgorithm, leading, two_stage
 from hident.records import Record, Truth
 from hident.systems.linear import TransferFunction
 from hident.systems.nonlinearity import Polynomial

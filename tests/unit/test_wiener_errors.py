@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hident.estimators.iterative_wiener import IterativeWiener
+from hident.estimators.moving_horizon.iterative_wiener import IterativeWiener
 from hident.records import Record
 from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.nonlinearity import PiecewiseLinear

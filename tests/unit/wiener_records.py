@@ -4,9 +4,9 @@ import numpy as np
 
 from hident import plugins
 from hident.config.spec import Of
-from hident.estimators.four_segment import FourSegment
-from hident.estimators.time_weighted import Horizons
-from hident.estimators.wiener_iteration import Wiener
+from hident.estimators.moving_horizon.four_segment import FourSegment
+from hident.estimators.moving_horizon.time_weighted import Horizons
+from hident.estimators.moving_horizon.wiener_iteration import Wiener
 from hident.records import Record
 from hident.systems.continuous import ContinuousTransferFunction
 

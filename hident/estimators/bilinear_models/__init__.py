@@ -1,0 +1,1 @@
+"""Hammerstein models with known basis functions, bilinear in their parameters."""

@@ -1,0 +1,189 @@
+"""The weighted nonlinear least squares problem of a Hammerstein system with bilinear parameters.
+
+Symbols are in :mod:`hident.estimators.bilinear_models.bilinear`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from hident.config.spec import Count, Flag, Real, Spec, component
+from hident.errors import EstimationError
+from hident.estimators.bilinear_models.bilinear import Regression, loss, normalised
+from hident.estimators.bilinear_models.two_stage import Weighted, WeightedBilinearSpec, two_stage
+from hident.records import Array, Estimate, Record
+
+_HALVINGS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """b (n,), a (m,), the iterations made, and whether the last one was below the tolerance."""
+
+    b: Array
+    a: Array
+    iterations: int
+    converged: bool
+
+
+def jacobian(r: Array, b: Array, a: Array) -> Array:
+    """The derivative (rows, n + m) of r vec(b a') by b (n,) and a (m,), for ``r`` (rows, n m)."""
+    blocks = r.reshape(len(r), len(a), len(b))
+    return np.hstack([np.einsum("kji,j->ki", blocks, a), np.einsum("kji,i->kj", blocks, b)])
+
+
+def complement(vector: Array) -> Array:
+    """An orthonormal basis (k, k - 1) of what is orthogonal to ``vector`` (k,)."""
+    return np.linalg.qr(vector[:, None], mode="complete").Q[:, 1:]
+
+
+def covariance_root(regression: Regression, b: Array, a: Array) -> Array:
+    """A root (n + m, n + m - 1) of the Cramer-Rao bound of (b, a) with b of length one.
+
+    The noise is Gaussian with covariance W^-1; the bound is the root times its transpose. It is also the
+    asymptotic covariance of the weighted nonlinear least squares estimate.
+    """
+    tangent = complement(np.concatenate([b, np.zeros_like(a)]))
+    derivative = jacobian(regression.r, b, a) @ tangent
+    length = np.linalg.norm(derivative, axis=0)
+    upper = np.linalg.qr(derivative / length).R
+    return np.asarray((tangent / length) @ np.linalg.solve(upper, np.eye(len(upper))))
+
+
+def bilinear_least_squares(
+    regression: Regression,
+    y: Array,
+    b: Array,
+    a: Array,
+    *,
+    tolerance: float = 1e-12,
+    max_iterations: int = 200,
+    normalise: bool = True,
+) -> Solution:
+    """Minimise (Phi vec(b a') - y)'W(Phi vec(b a') - y) by Gauss and Newton's method with step halving.
+
+    Parameters
+    ----------
+    regression : Regression
+        The regressors with their weighting.
+    y : array, shape (rows,)
+        The output.
+    b, a : arrays, shapes (n,), (m,)
+        Where to start.
+    tolerance : float
+        Stop when a full step changes the model's output by less than this, relative to that output.
+    max_iterations : int
+        Stop after so many steps.
+    normalise : bool
+        Keep b at length one. If not, every step is the shortest in all n + m coordinates, so that the
+        common factor of b and 1/a stays where the start and the steps leave it.
+
+    Returns
+    -------
+    Solution
+
+    Notes
+    -----
+    Wang, Zhang, Ljung 2009, eq. (10). The data enter as R and Q'F y only, so a step takes (n m)^2
+    operations whatever the number of samples.
+    """
+    r, z = regression.r, regression.projected(y)
+    # Losses closer than this differ by rounding only.
+    rounding = 1e-14 * float(z @ z)
+
+    def residual(b: Array, a: Array) -> Array:
+        return z - r @ np.outer(a, b).ravel()
+
+    left = residual(b, a)
+    for iteration in range(max_iterations):
+        # The direction that leaves b a' as it is (b grows, a shrinks), or assumption 1's normal.
+        held = np.concatenate([b, np.zeros_like(a) if normalise else -a])
+        tangent = complement(held)
+        factor = np.linalg.qr(jacobian(r, b, a) @ tangent)
+        change = factor.Q.T @ left
+        step = tangent @ np.linalg.solve(factor.R, change)
+        small = bool(np.linalg.norm(change) <= tolerance * np.linalg.norm(z - left))
+        for _ in range(_HALVINGS):
+            new_b, new_a = b + step[: len(b)], a + step[len(b) :]
+            if normalise:
+                new_b, new_a = normalised(new_b, new_a)
+            new = residual(new_b, new_a)
+            if new @ new <= left @ left + rounding:
+                break
+            step = 0.5 * step
+        else:
+            return Solution(b, a, iteration, False)
+        b, a, left = new_b, new_a, new
+        if small:
+            return Solution(b, a, iteration + 1, True)
+    return Solution(b, a, max_iterations, False)
+
+
+class Stop(Spec):
+    """When to stop short of convergence."""
+
+    tolerance: Annotated[Real, Field(gt=0)] = 1e-6
+    """Relative change of the model's output by a step, below which to stop."""
+    max_iterations: Annotated[Count, Field(ge=1)] = 400
+    """Most steps."""
+
+
+@component("estimator", "bilinear_least_squares", source="Wang, Zhang, Ljung 2009, eq. (10)")
+class BilinearLeastSquares(WeightedBilinearSpec):
+    """Hammerstein system by weighted nonlinear least squares, from the two-stage estimate."""
+
+    start: Literal["two_stage", "truth"] = "two_stage"
+    """Where the iterations start."""
+    stop: Stop | None = None
+    """Stop early; if left out, the iterations must converge."""
+    normalise: Flag = True
+    """Keep b at length one; false leaves the common factor of b and 1/a where the iterations drift."""
+
+    def needs_of_truth(self) -> frozenset[str]:
+        return frozenset({"nonlinearity", "linear"} if self.start == "truth" else ())
+
+    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        phi, y = self.data(record)
+        weighted = self.weighted(phi, y)
+        regression = weighted.regression
+        first = two_stage(regression, y)
+        b, a = (first.b, first.a) if self.start == "two_stage" else self.true_parameters(record)
+        if self.stop is None:
+            found = bilinear_least_squares(regression, y, b, a, normalise=self.normalise)
+            if not found.converged:
+                raise EstimationError(
+                    f"the nonlinear least squares problem did not converge in {found.iterations} iterations"
+                )
+        else:
+            found = bilinear_least_squares(
+                regression,
+                y,
+                b,
+                a,
+                tolerance=self.stop.tolerance,
+                max_iterations=self.stop.max_iterations,
+                normalise=self.normalise,
+            )
+        return self.estimate(
+            weighted,
+            y,
+            (found.b, found.a),
+            self._standard_errors(weighted, y, found),
+            {"iterations": float(found.iterations)},
+        )
+
+    def _standard_errors(self, weighted: Weighted, y: Array, found: Solution) -> tuple[Array, Array]:
+        """Those of the normalised parameters; they assume white noise unless its covariance is the weight."""
+        white = weighted.white
+        b, a = normalised(found.b, found.a)
+        if self.weight == "inverse_gram":
+            # Theorem 2: the solution is the unweighted two-stage estimate.
+            return white.standard_errors(b, a, white.variance(y, white.theta(y)))
+        spare = len(y) - len(b) - len(a) + 1
+        std = np.sqrt(loss(white, y, b, a, white.root) / spare)
+        errors = std * np.linalg.norm(covariance_root(white, b, a), axis=1)
+        return errors[: len(b)], errors[len(b) :]

@@ -1,0 +1,83 @@
+"""What no unbiased estimator can beat, and the reference that knows half of the answer."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from hident.config.spec import Of, Real, component
+from hident.estimators.bilinear_models.ar_noise import ArModel
+from hident.estimators.bilinear_models.bilinear import Regression, identity
+from hident.estimators.bilinear_models.bilinear_least_squares import covariance_root
+from hident.estimators.bilinear_models.known_basis import BilinearSpec
+from hident.estimators.bilinear_models.two_stage import KnownAr, WeightedSpec
+from hident.records import Array, Estimate, Record
+from hident.systems.base import NonlinearitySpec
+
+
+def cramer_rao(regression: Regression, b: Array, a: Array, variance: float) -> tuple[Array, Array]:
+    """The Cramer-Rao bounds, as standard deviations, of b (n,) and a (m,) with b of length one.
+
+    The noise is Gaussian with covariance ``variance`` times the inverse of the regression's weighting W.
+    """
+    std = np.sqrt(variance) * np.linalg.norm(covariance_root(regression, b, a), axis=1)
+    return std[: len(b)], std[len(b) :]
+
+
+@component("estimator", "cramer_rao")
+class CramerRao(BilinearSpec):
+    """Least standard deviations of b_i and a_j, as se_b_i and se_a_j, from the truth: Cramer-Rao bound."""
+
+    variance: Annotated[Real, Field(gt=0)]
+    """Variance of the Gaussian white noise, or of the innovation of the autoregressive one."""
+    noise: KnownAr | None = None
+    """Autoregressive noise {kind: ar, a: [...]}; white if left out."""
+
+    def provides(self) -> frozenset[str]:
+        return frozenset(f"value {name}" for name in self.names("se_"))
+
+    def needs_of_truth(self) -> frozenset[str]:
+        return frozenset({"nonlinearity", "linear"})
+
+    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        phi, _ = self.data(record)
+        root = ArModel(np.array(self.noise.a)).whiten if self.noise else identity
+        regression = Regression.of(phi, self.lags, root, self.delay)
+        bounds = cramer_rao(regression, *self.true_parameters(record), self.variance)
+        return Estimate(
+            values=self.named(*bounds, prefix="se_"), diagnostics={"condition": regression.condition}
+        )
+
+
+@component("estimator", "known_nonlinearity")
+class KnownNonlinearity(WeightedSpec):
+    """Finite impulse response by linear least squares when the nonlinearity is known."""
+
+    nonlinearity: Annotated[NonlinearitySpec, Of("nonlinearity")]
+    """The known nonlinearity, with its scale: b is not normalised."""
+
+    def functions(self) -> tuple[NonlinearitySpec, ...]:
+        return (self.nonlinearity,)
+
+    def provides(self) -> frozenset[str]:
+        names = self.b_names()
+        values = {f"value {prefix}{name}" for name in names for prefix in ("", "se_")}
+        return self.noise_names() | values | {"linear", "nonlinearity"}
+
+    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        phi, y = self.data(record)
+        weighted = self.weighted(phi, y)
+        theta = weighted.regression.theta(y)
+        white = weighted.white
+        errors = np.sqrt(white.variance(y, white.theta(y))) * np.linalg.norm(white.g, axis=1)
+        b = theta[:, 0]
+        named = dict(zip(self.b_names(), b.tolist(), strict=True))
+        named |= {f"se_{name}": error for name, error in zip(self.b_names(), errors.tolist(), strict=True)}
+        return Estimate(
+            nonlinearity=self.nonlinearity,
+            linear=self.linear(b),
+            values=named | weighted.order_value(),
+            diagnostics={"condition": white.condition},
+        )

@@ -1,0 +1,164 @@
+"""Fields and parts that the estimators of Hammerstein systems with known basis functions share.
+
+Symbols are in :mod:`hident.estimators.bilinear_models.bilinear`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from hident.config.spec import Count, Of
+from hident.errors import EstimationError
+from hident.estimators.base import EstimatorSpec, require_finite
+from hident.estimators.bilinear_models.bilinear import Regression, lengths, normalised, regressors
+from hident.records import Array, Record
+from hident.systems.base import NonlinearitySpec
+from hident.systems.linear import TransferFunction
+from hident.systems.nonlinearity import Power
+
+
+@dataclass(frozen=True, eq=False)
+class Expansion:
+    """The nonlinearity sum_j a_j phi_j, Eq. (3)."""
+
+    functions: tuple[NonlinearitySpec, ...]
+    a: tuple[float, ...]
+
+    def __call__(self, x: Array) -> Array:
+        return np.asarray(sum(a * phi(x) for a, phi in zip(self.a, self.functions, strict=True)))
+
+
+class LaggedSpec(EstimatorSpec):
+    """Base of the estimators that regress y(t) on known functions of x(t-delay), x(t-delay-1), ..."""
+
+    lags: Annotated[Count, Field(ge=1)]
+    """Number n of coefficients of the linear block."""
+    delay: Annotated[Count, Field(ge=0)] = 1
+    """The first lag: y(t) depends on x(t-delay), ..., x(t-delay-lags+1)."""
+
+    def draws(self) -> bool:
+        return False
+
+    def functions(self) -> tuple[NonlinearitySpec, ...]:
+        """phi_1, ..., phi_m."""
+        raise NotImplementedError
+
+    @property
+    def first(self) -> int:
+        """The first sample whose lagged inputs are all on record."""
+        return self.delay + self.lags - 1
+
+    def fewest_samples(self) -> int:
+        # One equation more than coefficients, for the variance of the noise.
+        return self.first + self.lags * len(self.functions()) + 1
+
+    def basis_values(self, x: Array) -> Array:
+        """The basis functions (m, N) of the input.
+
+        Raises
+        ------
+        EstimationError
+            If a function is not finite.
+        """
+        basis = np.array([phi(x) for phi in self.functions()])
+        for j, row in enumerate(basis, start=1):
+            if wrong := len(row) - np.count_nonzero(np.isfinite(row)):
+                raise EstimationError(f"phi_{j} is not finite at {wrong} of {len(row)} samples of the input")
+        return basis
+
+    def data(self, record: Record) -> tuple[Array, Array]:
+        """The regressors Phi (rows, n m) and the outputs (rows,).
+
+        Raises
+        ------
+        EstimationError
+            If the record is too short for the lags, or not finite.
+        """
+        require_finite(record.y)
+        if len(record) <= self.first:
+            raise EstimationError(
+                f"{len(record)} samples are too few for the lags {self.delay} to {self.first}"
+            )
+        return regressors(self.basis_values(record.u), self.lags, self.delay), record.y[self.first :]
+
+    def check_record(self, record: Record) -> None:
+        phi = regressors(self.basis_values(record.u), self.lags, self.delay)
+        try:
+            Regression.of(phi, self.lags, delay=self.delay)
+        except EstimationError as error:
+            raise EstimationError(f"the input cannot tell the parameters apart: {error}") from None
+
+    def b_names(self) -> list[str]:
+        """The names of the linear coefficients: b_i multiplies lag i."""
+        return [f"b_{i}" for i in range(self.delay, self.delay + self.lags)]
+
+    def linear(self, b: Array) -> TransferFunction:
+        """The linear block with the coefficients ``b`` (n,)."""
+        return TransferFunction(b=(0.0,) * self.delay + tuple(b.tolist()))
+
+
+class BilinearSpec(LaggedSpec):
+    """Base of the estimators of a Hammerstein system with known basis functions."""
+
+    degree: Annotated[Count, Field(ge=1)] | None = None
+    """The basis functions x, x^2, ..., x^degree; give this or 'basis'."""
+    basis: tuple[Annotated[NonlinearitySpec, Of("nonlinearity")], ...] | None = None
+    """The basis functions phi_1, ..., phi_m, e.g. [identity, abs, {kind: power, exponent: 3}]."""
+
+    @model_validator(mode="after")
+    def _one_basis(self) -> Self:
+        if (self.degree is None) == (self.basis is None):
+            raise ValueError("give either 'degree' or 'basis'")
+        if self.basis is not None and not self.basis:
+            raise ValueError("'basis' must be a list of at least one function")
+        return self
+
+    def functions(self) -> tuple[NonlinearitySpec, ...]:
+        if self.basis is not None:
+            return self.basis
+        assert self.degree is not None  # by validation
+        return tuple(Power(exponent=j) for j in range(1, self.degree + 1))
+
+    def true_parameters(self, record: Record) -> tuple[Array, Array]:
+        """b and a of the simulated system, normalised.
+
+        Raises
+        ------
+        EstimationError
+            If the record has no truth, or the truth is not of this form.
+        """
+        truth = record.truth
+        if truth is None or truth.linear is None or truth.nonlinearity is None:
+            raise EstimationError("the true parameters are needed, and the record has none")
+        response = np.asarray(truth.linear.b)
+        last = self.delay + self.lags
+        if truth.linear.a or np.any(response[: self.delay]) or np.any(response[last:]):
+            raise EstimationError(
+                f"the true linear block is not a finite response at the lags {self.delay} to {last - 1}"
+            )
+        b = np.zeros(self.lags)
+        b[: len(response) - self.delay] = response[self.delay :]
+        basis, w = self.basis_values(record.u), truth.nonlinearity(record.u)
+        scale = lengths(basis.T)
+        a = np.linalg.lstsq((basis / scale[:, None]).T, w, rcond=None)[0] / scale
+        if np.linalg.norm(a @ basis - w) > 1e-9 * np.linalg.norm(w):
+            raise EstimationError("the true nonlinearity is not a combination of the basis functions")
+        return normalised(b, a)
+
+    def named(self, b: Array, a: Array, prefix: str = "") -> dict[str, float]:
+        """b_i and a_j, or what belongs to them, by name."""
+        names = [*self.b_names(), *(f"a_{j}" for j in range(1, len(a) + 1))]
+        values = np.concatenate([b, a]).tolist()
+        return {prefix + name: value for name, value in zip(names, values, strict=True)}
+
+    def names(self, prefix: str = "") -> list[str]:
+        """The names that :meth:`named` gives."""
+        return list(self.named(np.zeros(self.lags), np.zeros(len(self.functions())), prefix))
+
+    def nonlinearity(self, a: Array) -> Expansion:
+        """The nonlinearity with the coefficients ``a`` (m,)."""
+        return Expansion(self.functions(), tuple(a.tolist()))

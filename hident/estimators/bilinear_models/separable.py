@@ -1,0 +1,253 @@
+"""Hammerstein systems with a rational linear block by separable least squares.
+
+======  =====================================================================================
+F       1 - f_1 q^-1 - ... - f_p q^-p; the output without noise is (1/F) of b'phi(t)a
+X       the regressors phi_j(x(t-i)) filtered by 1/F from rest, shape (rows, n m)
+H       the responses of 1/F to impulses in the first p rows: what came before the record
+r       residuals; for given f, of the best a, b and start
+======  =====================================================================================
+
+For given f the problem is the bilinear one with X for Phi. Wang, Zhang, Ljung 2009, section 2, name this
+way and leave it out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from hident.config.spec import Count, component
+from hident.errors import EstimationError
+from hident.estimators.bilinear_models.bilinear import Regression
+from hident.estimators.bilinear_models.bilinear_least_squares import (
+    bilinear_least_squares,
+    complement,
+    jacobian,
+)
+from hident.estimators.bilinear_models.known_basis import BilinearSpec
+from hident.estimators.bilinear_models.two_stage import two_stage
+from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
+from hident.records import Array, Estimate, Record
+from hident.systems.linear import TransferFunction
+
+_PREFILTERINGS = 10
+_HALVINGS = 40
+_EDGE = 0.999
+"""Modulus that a pole of the first estimates may reach."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inner:
+    """The best a, b and start for given f, with the residuals (rows,) and the output without noise (rows,).
+
+    ``derivative`` (rows, p + n + m - 1 + p) is that of the output by f, by b and a within assumption 1, and
+    by the start; ``tangent`` (n + m, n + m - 1) are the directions of b and a.
+    """
+
+    f: Array
+    b: Array
+    a: Array
+    residuals: Array
+    output: Array
+    derivative: Array
+    tangent: Array
+
+    @property
+    def loss(self) -> float:
+        return float(self.residuals @ self.residuals)
+
+
+def _filtered(f: Array, rows: Array) -> Array:
+    from scipy.signal import lfilter
+
+    return np.asarray(lfilter([1.0], np.concatenate(([1.0], -f)), rows, axis=0))
+
+
+def _delayed(rows: Array, p: int) -> Array:
+    """``rows`` (N,) delayed by 1, ..., p samples from rest, shape (N, p)."""
+    padded = np.concatenate([np.zeros(p), rows])
+    return np.column_stack([padded[p - k : len(padded) - k] for k in range(1, p + 1)])
+
+
+def start(phi: Array, y: Array, p: int) -> Array:
+    """First estimate of f (p,): a linear regression for F y, repeated with everything filtered by 1/F.
+
+    ``phi`` has shape (rows, n m), ``y`` (rows,). The first round is exact without noise, and the repetition
+    (Steiglitz and McBride's) takes away most of the bias of white output noise.
+
+    Raises
+    ------
+    EstimationError
+        If the regressors are dependent.
+    """
+    f = np.zeros(p)
+    for _ in range(1 + _PREFILTERINGS):
+        filtered = _filtered(f, np.column_stack([y, phi, np.eye(len(y), p)]))
+        columns = np.column_stack([_delayed(filtered[:, 0], p), filtered[:, 1:]])
+        length = np.linalg.norm(columns, axis=0)
+        length[length == 0.0] = 1.0
+        found, _, _, singular_values = np.linalg.lstsq(columns / length, filtered[:, 0], rcond=None)
+        if singular_values[-1] * ILL_CONDITIONED <= singular_values[0]:
+            raise EstimationError(
+                "past outputs and inputs are linearly dependent: the input varies too little, "
+                f"or the feedback order {p} is too high"
+            )
+        new = _stabilised(found[:p] / length[:p])
+        if np.allclose(new, f, rtol=0.0, atol=1e-12):
+            return new
+        f = new
+    return f
+
+
+def _stabilised(f: Array) -> Array:
+    """The coefficients with poles outside the unit circle reflected into it."""
+    poles = TransferFunction(a=tuple(f)).poles()
+    modulus = np.abs(poles)
+    if np.all(modulus < _EDGE):
+        return f
+    target = np.where(modulus > 1.0, 1.0 / modulus, modulus)
+    poles = poles / modulus.clip(1e-300) * np.minimum(target, _EDGE)
+    return -np.real(np.poly(poles))[1:]
+
+
+def inner_solution(f: Array, phi: Array, y: Array, n: int, guess: tuple[Array, Array] | None = None) -> Inner:
+    """Solve the bilinear problem for given f, from ``guess`` or the two-stage estimate.
+
+    Raises
+    ------
+    EstimationError
+        If the filtered regressors are dependent, or the problem does not converge.
+    """
+    p = len(f)
+    X, H = _filtered(f, phi), _filtered(f, np.eye(len(y), p))
+    q = np.linalg.qr(H).Q
+
+    def without_start(rows: Array) -> Array:
+        return rows - q @ (q.T @ rows)
+
+    regression = Regression.of(X, n, without_start)
+    if guess is None:
+        first = two_stage(regression, y)
+        guess = first.b, first.a
+    found = bilinear_least_squares(regression, y, *guess)
+    if not found.converged:
+        raise EstimationError(f"the inner problem did not converge in {found.iterations} iterations")
+    b, a = found.b, found.a
+    rest = y - X @ np.outer(a, b).ravel()
+    residuals = without_start(rest)
+    output = y - residuals
+    tangent = complement(np.concatenate([b, np.zeros_like(a)]))
+    # F y = b'phi a + impulses: so the derivative by f_k is 1/F of the output k samples ago.
+    derivative = np.column_stack([_filtered(f, _delayed(output, p)), jacobian(X, b, a) @ tangent, H])
+    return Inner(f, b, a, residuals, output, derivative, tangent)
+
+
+def separable_least_squares(
+    phi: Array, y: Array, n: int, p: int, *, tolerance: float = 1e-10, max_iterations: int = 100
+) -> tuple[Inner, int]:
+    """Fit y(t) = (1/F) b'phi(t) a + v(t): f by Gauss and Newton's method, a, b and the start inside.
+
+    Parameters
+    ----------
+    phi : array, shape (rows, n m)
+        The regressors.
+    y : array, shape (rows,)
+        The output.
+    n, p : int
+        Number of lags and order of F.
+    tolerance : float
+        Converged when a step in f changes the output by less than this, relative to it.
+    max_iterations : int
+        Most steps.
+
+    Returns
+    -------
+    Inner, int
+        The solution and the number of steps.
+
+    Raises
+    ------
+    EstimationError
+        If the regressors are dependent, or the iterations do not converge.
+
+    Notes
+    -----
+    Consistent for an output noise of any colour that is independent of the input, efficient for a white
+    Gaussian one. The derivative by f is that of variable projection in Kaufman's form.
+    """
+    current = inner_solution(start(phi, y, p), phi, y, n)
+    rounding = 1e-14 * float(y @ y)
+    for iteration in range(max_iterations):
+        rest = np.linalg.qr(current.derivative[:, p:]).Q
+        outer = current.derivative[:, :p]
+        outer = outer - rest @ (rest.T @ outer)
+        factor = np.linalg.qr(outer)
+        change = factor.Q.T @ current.residuals
+        step = np.linalg.solve(factor.R, change)
+        small = np.linalg.norm(change) <= tolerance * np.linalg.norm(current.output)
+        for _ in range(_HALVINGS):
+            if TransferFunction(a=tuple(current.f + step)).is_stable():
+                new = inner_solution(current.f + step, phi, y, n, (current.b, current.a))
+                if new.loss <= current.loss + rounding:
+                    break
+            step = 0.5 * step
+        else:
+            break
+        current = new
+        if small:
+            return current, iteration + 1
+    raise EstimationError("the feedback coefficients did not converge")
+
+
+@component("estimator", "separable_least_squares", source="Wang, Zhang, Ljung 2009, section 2")
+class SeparableLeastSquares(BilinearSpec):
+    """Hammerstein system with feedback in the linear block: a_1, ..., a_p outside, b_i and c_j inside.
+
+    Here a_i are the linear block's feedback coefficients, as in all of its kinds, and the nonlinearity is
+    c_1 phi_1 + ... + c_m phi_m.
+    """
+
+    feedback: Annotated[Count, Field(ge=1)]
+    """Order p of the feedback a_1, ..., a_p."""
+
+    def fewest_samples(self) -> int:
+        return super().fewest_samples() + 2 * self.feedback
+
+    def provides(self) -> frozenset[str]:
+        values = {f"value {prefix}{name}" for name in self._parameters() for prefix in ("", "se_")}
+        return frozenset(values | {"value loss", "linear", "nonlinearity"})
+
+    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        phi, y = self.data(record)
+        p, n = self.feedback, self.lags
+        Regression.of(phi, n, delay=self.delay)
+        found, iterations = separable_least_squares(phi, y, n, p)
+        names = self._parameters()
+        parameters = np.concatenate([found.f, found.b, found.a])
+        values = dict(zip(names, parameters.tolist(), strict=True))
+        errors = self._standard_errors(found).tolist()
+        return Estimate(
+            nonlinearity=self.nonlinearity(found.a),
+            linear=TransferFunction(b=self.linear(found.b).b, a=tuple(found.f.tolist())),
+            values=values
+            | {f"se_{name}": error for name, error in zip(names, errors, strict=True)}
+            | {"loss": found.loss},
+            diagnostics={"iterations": float(iterations)},
+        )
+
+    def _standard_errors(self, found: Inner) -> Array:
+        """Those of f, b and a under white noise, shape (p + n + m,)."""
+        p, k = len(found.f), found.tangent.shape[1]
+        length = np.linalg.norm(found.derivative, axis=0)
+        upper = np.linalg.qr(found.derivative / length).R
+        root = np.linalg.solve(upper, np.eye(len(upper))) / length[:, None]
+        root = np.vstack([root[:p], found.tangent @ root[p : p + k]])
+        rows, columns = found.derivative.shape
+        return np.asarray(np.sqrt(found.loss / (rows - columns)) * np.linalg.norm(root, axis=1))
+
+    def _parameters(self) -> list[str]:
+        feedback = [f"a_{i}" for i in range(1, self.feedback + 1)]
+        return [*feedback, *self.b_names(), *(f"c_{j}" for j in range(1, len(self.functions()) + 1))]

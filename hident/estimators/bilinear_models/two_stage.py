@@ -1,0 +1,231 @@
+"""The two-stage algorithm for Hammerstein systems: a linear regression, then the nearest matrix of rank one.
+
+Symbols are in :mod:`hident.estimators.bilinear_models.bilinear`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from hident.config.spec import Real, Spec, component
+from hident.config.suggest import did_you_mean, one_of
+from hident.errors import EstimationError
+from hident.estimators.bilinear_models.ar_noise import ArModel, EstimatedAr
+from hident.estimators.bilinear_models.bilinear import (
+    Regression,
+    inverse_gram,
+    loss,
+    normalised,
+)
+from hident.estimators.bilinear_models.known_basis import BilinearSpec, LaggedSpec
+from hident.records import Array, Estimate, Record
+from hident.systems.linear import TransferFunction
+
+
+@dataclass(frozen=True, eq=False)
+class TwoStage:
+    """Estimates b (..., n) and a (..., m), and the unconstrained ``theta`` (..., n, m)."""
+
+    b: Array
+    a: Array
+    theta: Array
+
+    @property
+    def singular_values(self) -> Array:
+        """Those of Theta, the largest first, shape (..., min(n, m))."""
+        return np.asarray(np.linalg.svd(self.theta, compute_uv=False))
+
+
+def leading(theta: Array) -> Array:
+    """The left singular vectors (..., n) of ``theta`` (..., n, m) for the largest singular values.
+
+    Two rows or columns take one Jacobi rotation, which works on all matrices at once; others are LAPACK's.
+    """
+    if theta.shape[-1] == 2 < theta.shape[-2]:
+        b = np.einsum("...ij,...j->...i", theta, leading(theta.swapaxes(-1, -2)))
+        return np.asarray(b / np.linalg.norm(b, axis=-1, keepdims=True))
+    if theta.shape[-2] == 2:
+        x, y = theta[..., 0, :], theta[..., 1, :]
+        along = np.einsum("...j,...j->...", x + y, x - y)
+        angle = 0.5 * np.arctan2(2.0 * np.einsum("...j,...j->...", x, y), along)
+        return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    return np.asarray(np.linalg.svd(theta, full_matrices=False).U[..., 0])
+
+
+def two_stage(regression: Regression, y: Array) -> TwoStage:
+    """The two-stage algorithm.
+
+    Parameters
+    ----------
+    regression : Regression
+        The regressors with their weighting, factored; it serves any number of calls.
+    y : array, shape (rows,) or (rows, T)
+        The output of one trial, or of T trials with the same input.
+
+    Returns
+    -------
+    TwoStage
+        Its arrays begin with an axis of length T for T trials.
+
+    Raises
+    ------
+    EstimationError
+        If the output of a trial does not depend on the input: Theta is zero.
+
+    Notes
+    -----
+    Wang, Zhang, Ljung 2009, eq. (12)-(14) with assumption 1. Differs from the paper: (13) and (14) are
+    printed with a and b exchanged; the left singular vector, of length n, is b.
+    """
+    theta = regression.theta(y)
+    if not np.all(np.any(theta, axis=(-2, -1))):
+        raise EstimationError("the output does not depend on the input: the estimate of b a' is zero")
+    # Eq. (13), (14): s_1 sigma_1 v_1 is Theta' s_1 u_1
+    b = leading(theta)
+    b, a = normalised(b, np.einsum("...ij,...i->...j", theta, b))
+    return TwoStage(b, a, theta)
+
+
+def estimate_noise(regression: Regression, y: Array, noise: EstimatedAr) -> tuple[Regression, ArModel]:
+    """The regression weighted by the inverse of the estimated noise covariance, and the noise's model.
+
+    ``regression`` is unweighted, ``y`` has shape (rows,).
+
+    Notes
+    -----
+    Wang, Zhang, Ljung 2009, section 3.3. The residuals are those of the unconstrained Theta.
+    """
+    weighted = regression
+    for _ in range(noise.iterations):
+        residuals = regression.residuals(y, weighted.theta(y))
+        model = noise.model(residuals, regression.phi.shape[1])
+        weighted = Regression.of(regression.phi, regression.n, model.whiten)
+    return weighted, model
+
+
+class KnownAr(Spec):
+    """Autoregressive noise with known coefficients."""
+
+    kind: Literal["ar"]
+    """The kind."""
+    a: Annotated[tuple[Real, ...], Field(min_length=1)]
+    """Feedback coefficients a_1, ..., a_p of the noise."""
+
+    @field_validator("a")
+    @classmethod
+    def _stationary(cls, a: tuple[float, ...]) -> tuple[float, ...]:
+        if not (block := TransferFunction(a=a)).is_stable():
+            raise ValueError(
+                "the noise is unstable: poles must lie inside the unit circle, "
+                f"not at modulus {block.radius():.4g}"
+            )
+        return a
+
+
+_WEIGHTS: dict[str, type[KnownAr] | type[EstimatedAr]] = {"ar": KnownAr, "estimated_ar": EstimatedAr}
+_PLAIN = ("identity", "inverse_gram")
+
+
+@dataclass(frozen=True, eq=False)
+class Weighted:
+    """A weighting applied to data.
+
+    ``regression`` is weighted for the first stage, ``white`` by the inverse of the noise covariance that
+    the standard errors assume; ``order`` is that of an estimated noise model.
+    """
+
+    regression: Regression
+    white: Regression
+    order: int | None = None
+
+    def order_value(self) -> dict[str, float]:
+        """``ar_order``, if the noise was modelled."""
+        return {} if self.order is None else {"ar_order": float(self.order)}
+
+
+class WeightedSpec(LaggedSpec):
+    """Base of the estimators with a weighting matrix."""
+
+    weight: Literal["identity", "inverse_gram"] | KnownAr | EstimatedAr = "identity"
+    """W: identity, inverse_gram (17), or by the noise: {kind: ar, a: [...]} or {kind: estimated_ar}."""
+
+    @field_validator("weight", mode="before")
+    @classmethod
+    def _choose_weight(cls, value: Any) -> Any:
+        if isinstance(value, KnownAr | EstimatedAr) or (isinstance(value, str) and value in _PLAIN):
+            return value
+        kind = value.get("kind") if isinstance(value, Mapping) else value
+        if not isinstance(kind, str) or kind not in _WEIGHTS:
+            raise ValueError(
+                f"must be {one_of(_PLAIN)} or a mapping with 'kind: ar' or 'kind: estimated_ar'"
+                f"{did_you_mean(str(kind), (*_PLAIN, *_WEIGHTS))}"
+            )
+        return _WEIGHTS[kind].model_validate(value if isinstance(value, Mapping) else {"kind": kind})
+
+    def fewest_samples(self) -> int:
+        order = self.weight.max_order if isinstance(self.weight, EstimatedAr) else 0
+        return super().fewest_samples() + 2 * order
+
+    def weighted(self, phi: Array, y: Array) -> Weighted:
+        """The regressors ``phi`` (rows, n m) with the weighting; ``y`` (rows,) serves to estimate it."""
+        plain = Regression.of(phi, self.lags, delay=self.delay)
+        if self.weight == "identity":
+            return Weighted(plain, plain)
+        if self.weight == "inverse_gram":
+            return Weighted(Regression.of(phi, self.lags, inverse_gram(plain)), plain)
+        if isinstance(self.weight, KnownAr):
+            white = Regression.of(phi, self.lags, ArModel(np.array(self.weight.a)).whiten)
+            return Weighted(white, white)
+        white, model = estimate_noise(plain, y, self.weight)
+        return Weighted(white, white, len(model.a))
+
+    def noise_names(self) -> frozenset[str]:
+        """The value that a weighting adds to the estimate."""
+        return frozenset({"value ar_order"} if isinstance(self.weight, EstimatedAr) else ())
+
+
+class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
+    """Base of the weighted estimators of a Hammerstein system with known basis functions."""
+
+    def provides(self) -> frozenset[str]:
+        values = {f"value {name}" for name in (*self.names(), *self.names("se_"), "loss")}
+        return self.noise_names() | values | {"nonlinearity", "linear"}
+
+    def estimate(
+        self,
+        weighted: Weighted,
+        y: Array,
+        parameters: tuple[Array, Array],
+        errors: tuple[Array, Array],
+        diagnostics: Mapping[str, float],
+    ) -> Estimate:
+        """The estimate of b (n,) and a (m,), with standard ``errors``, from the outputs ``y`` (rows,)."""
+        b, a = parameters
+        regression = weighted.regression
+        least = {"loss": float(loss(regression, y, b, a, regression.root))}
+        return Estimate(
+            nonlinearity=self.nonlinearity(a),
+            linear=self.linear(b),
+            values=self.named(b, a) | self.named(*errors, prefix="se_") | least | weighted.order_value(),
+            diagnostics={"condition": weighted.white.condition, **diagnostics},
+        )
+
+
+@component("estimator", "two_stage", source="Wang, Zhang, Ljung 2009, eq. (12)-(14), (17), section 3.3")
+class TwoStageAlgorithm(WeightedBilinearSpec):
+    """Hammerstein system by linear least squares and a singular value decomposition."""
+
+    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        phi, y = self.data(record)
+        weighted = self.weighted(phi, y)
+        found = two_stage(weighted.regression, y)
+        variance = weighted.white.variance(y, weighted.white.theta(y))
+        errors = weighted.white.standard_errors(found.b, found.a, variance)
+        first, *others = found.singular_values
+        ratio = others[0] / first if others else 0.0
+        return self.estimate(weighted, y, (found.b, found.a), errors, {"singular_value_ratio": float(ratio)})

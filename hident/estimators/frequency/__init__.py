@@ -1,0 +1,1 @@
+"""Wiener-Hammerstein systems in the frequency domain, by staircases, sines and multisines."""

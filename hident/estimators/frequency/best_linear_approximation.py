@@ -1,0 +1,149 @@
+"""The best linear approximation of a nonlinear system, with the noise and the nonlinearity told apart."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from hident.config.spec import Count, component
+from hident.errors import EstimationError
+from hident.estimators.base import EstimatorSpec, require_finite
+from hident.estimators.frequency.harmonics import samples_per_period
+from hident.records import Array, Estimate, Periodic, Record
+
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class BestLinearApproximation:
+    """The response ``gain`` (F,) at ``harmonics`` (F,) of the period, and variances of its complex mean.
+
+    ``noise_variance`` (F,) is due to noise alone, ``total_variance`` (F,) to noise and stochastic nonlinear
+    distortions; both belong to the mean over all R realisations. ``distortion_variance`` (F,) is that of the
+    distortions in a single realisation, zero where it is hidden by noise.
+    """
+
+    harmonics: NDArray[np.intp]
+    gain: Complex
+    noise_variance: Array
+    total_variance: Array
+    distortion_variance: Array
+
+
+def best_linear_approximation(
+    u: Array, y: Array, harmonics: NDArray[np.intp] | None = None
+) -> BestLinearApproximation:
+    """The best linear approximation from random-phase multisines.
+
+    Parameters
+    ----------
+    u, y : array, shape (R, P, n)
+        Input and output in steady state: R realisations of the phases, P periods, n samples in each.
+    harmonics : array of int, shape (F,), optional
+        The excited harmonics; by default those with more than a millionth of the strongest input.
+
+    Raises
+    ------
+    EstimationError
+        If there are fewer than two realisations or two periods, or a harmonic is not excited.
+
+    Notes
+    -----
+    Pintelon and Schoukens 2012, section 4.3.1 (the robust method). The input is taken as free of noise.
+    """
+    realisations, periods, n = y.shape
+    if realisations < 2 or periods < 2:
+        raise EstimationError(
+            "the two variances need at least two realisations and two periods, "
+            f"not {realisations} and {periods}"
+        )
+    inputs = np.fft.rfft(u.mean(axis=1)) / n
+    size = np.min(np.abs(inputs), axis=0)
+    excited = size > 1e-6 * np.max(size[1:])
+    if harmonics is None:
+        harmonics = np.flatnonzero(excited[1:]) + 1
+    elif np.max(harmonics) >= len(size) or not np.all(excited[harmonics]):
+        silent = [k for k in harmonics if k >= len(size) or not excited[k]]
+        raise EstimationError(f"the harmonic {silent[0]} is not excited in every realisation")
+    gains = np.fft.rfft(y)[..., harmonics] / (n * inputs[:, None, harmonics])
+    each = gains.mean(axis=1)
+    noise = np.sum(np.abs(gains - each[:, None]) ** 2, axis=1) / (periods * (periods - 1))
+    gain = each.mean(axis=0)
+    total = np.sum(np.abs(each - gain) ** 2, axis=0) / (realisations * (realisations - 1))
+    noise_variance = noise.mean(axis=0) / realisations
+    return BestLinearApproximation(
+        harmonics,
+        gain,
+        noise_variance,
+        total,
+        np.maximum(realisations * (total - noise_variance), 0.0),
+    )
+
+
+@component("estimator", "best_linear_approximation", source="Pintelon and Schoukens 2012, section 4.3.1")
+class BestLinear(EstimatorSpec):
+    """Best linear approximation from several random-phase multisines, with its two variances.
+
+    Each experiment of the record is one realisation of the phases. Values, for each harmonic K of the period:
+    gain_K and phase_K (radians), noise_K and total_K, the standard deviations of the complex gain by noise
+    and by noise with nonlinear distortions, and distortion_K, that of the distortions in one realisation.
+    """
+
+    harmonics: Annotated[tuple[Annotated[Count, Field(ge=1)], ...], Field(min_length=1)]
+    """Harmonics of the multisines' period at which the values are reported, e.g. [1, 3, 5]."""
+    transient: Annotated[Count, Field(ge=0)] = 0
+    """Periods left out at the start of each experiment."""
+
+    def draws(self) -> bool:
+        return False
+
+    def provides(self) -> frozenset[str]:
+        quantities = ("gain", "phase", "noise", "total", "distortion")
+        return frozenset(f"value {quantity}_{k}" for quantity in quantities for k in self.harmonics)
+
+    def check_record(self, record: Record) -> None:
+        self._periods(record)
+
+    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        require_finite(record.y)
+        u, y = self._periods(record)
+        found = best_linear_approximation(u, y, np.array(self.harmonics))
+        columns = {
+            "gain": np.abs(found.gain),
+            "phase": np.angle(found.gain),
+            "noise": np.sqrt(found.noise_variance),
+            "total": np.sqrt(found.total_variance),
+            "distortion": np.sqrt(found.distortion_variance),
+        }
+        values = {
+            f"{quantity}_{k}": float(value)
+            for quantity, column in columns.items()
+            for k, value in zip(self.harmonics, column, strict=True)
+        }
+        return Estimate(values=values, details={"best_linear_approximation": found})
+
+    def _periods(self, record: Record) -> tuple[Array, Array]:
+        """Input and output, each of shape (realisations, periods, samples per period)."""
+        shapes, inputs, outputs = set(), [], []
+        for name, part in record.parts.items():
+            if not isinstance(part.waveform, Periodic) or len(part.waveform.harmonics) < 2:
+                continue
+            n = samples_per_period(2.0 * math.pi / part.waveform.period, part.dt)
+            if n is None or len(part) % n:
+                raise EstimationError(
+                    f"the experiment '{name}' is not made of whole periods of whole samples"
+                )
+            shapes.add((len(part) // n, n))
+            inputs.append(record.u[part.samples].reshape(-1, n)[self.transient :])
+            outputs.append(record.y[part.samples].reshape(-1, n)[self.transient :])
+        if len(shapes) != 1:
+            raise EstimationError(
+                f"the experiments with multisines have {len(shapes)} different shapes (periods, "
+                "samples): give all realisations the same"
+            )
+        return np.stack(inputs), np.stack(outputs)

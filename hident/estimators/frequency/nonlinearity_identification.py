@@ -1,0 +1,150 @@
+"""The first stage of Brouri's method: a polynomial through the settled outputs of a staircase."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from hident.config.spec import Count, Flag, Real, component
+from hident.errors import EstimationError
+from hident.estimators.base import EstimatorSpec, require_finite
+from hident.estimators.frequency.staircase_levels import (
+    Levels,
+    PolynomialFit,
+    fit_polynomial,
+    level_bounds,
+    rise_time,
+    settled_levels,
+)
+from hident.records import Array, Estimate, Held, Part, Record
+from hident.systems.nonlinearity import Polynomial
+
+
+@dataclass(frozen=True, eq=False)
+class Staircase:
+    """What a staircase tells: the settled outputs at the abscissas ``x`` (n,), the polynomial through them,
+    rise time and hold in rise times.
+    """
+
+    x: Array
+    levels: Levels
+    polynomial: PolynomialFit
+    rise_time: float
+    hold: float
+
+
+def coefficient_values(fit: PolynomialFit) -> dict[str, float]:
+    """c_0, c_1, ... and their standard errors by name."""
+    named = {f"c_{j}": float(c) for j, c in enumerate(fit.coefficients)}
+    return named | {f"se_c_{j}": float(error) for j, error in enumerate(fit.errors)}
+
+
+@component("estimator", "nonlinearity_identification", source="Brouri, Table I, eq. (5)-(10)")
+class NonlinearityIdentification(EstimatorSpec):
+    """Polynomial through the outputs that settle under a staircase (unit static gains).
+
+    Values: c_0, ..., c_degree with se_c_j; ``noise`` (standard deviation), ``rise_time`` (90 %, at the
+    largest step), ``hold`` (the shortest level, in rise times) and ``drift`` (the largest drift between the
+    last two quarters of a level, in standard errors).
+    """
+
+    degree: Annotated[Count, Field(ge=1)] = 3
+    """Degree of the polynomial; as many distinct levels plus one are needed."""
+    discard: Annotated[Real, Field(ge=0, lt=1)] = 0.5
+    """Part of each level left out as transient, 0 to below 1; 0 averages the whole level, as printed."""
+    require_steady: Flag = True
+    """Fail if the output still drifts in the second half of a level."""
+    threshold: Annotated[Real, Field(gt=0)] = 5.0
+    """Standard errors beyond which a drift, or a change of the output, is not noise."""
+    tolerance: Annotated[Real, Field(ge=0)] = 1e-3
+    """Drift that is tolerated in any case, relative to the range of the settled outputs."""
+    experiment: str | None = None
+    """Name of the experiment with the staircase (default: the only one with a held input)."""
+
+    def draws(self) -> bool:
+        return False
+
+    def provides(self) -> frozenset[str]:
+        names = [f"{prefix}c_{j}" for prefix in ("", "se_") for j in range(self.degree + 1)]
+        values = (*names, "noise", "rise_time", "hold", "drift")
+        return frozenset({"nonlinearity", *(f"value {name}" for name in values)})
+
+    def fewest_samples(self) -> int:
+        return 8 * (self.degree + 1)
+
+    def check_record(self, record: Record) -> None:
+        distinct = len(np.unique(_levels_of(self._part(record))))
+        if distinct <= self.degree:
+            raise EstimationError(
+                f"{distinct} distinct levels do not determine the {self.degree + 1} coefficients of degree "
+                f"{self.degree}"
+            )
+
+    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        found = self.staircase(record)
+        levels = found.levels
+        drift = np.abs(levels.drift) / np.where(levels.drift_error > 0.0, levels.drift_error, np.inf)
+        measured = {
+            "noise": levels.noise,
+            "rise_time": found.rise_time,
+            "hold": found.hold,
+            "drift": float(np.max(drift)),
+        }
+        return Estimate(
+            nonlinearity=Polynomial(coefficients=tuple(found.polynomial.coefficients.tolist())),
+            values=coefficient_values(found.polynomial) | measured,
+            details={"staircase": found},
+        )
+
+    def staircase(self, record: Record) -> Staircase:
+        """What the record's staircase tells.
+
+        Raises
+        ------
+        EstimationError
+            If there is none, the output has not settled or does not depend on the level, or there are too few
+            levels.
+        """
+        part = self._part(record)
+        x, y = _levels_of(part), record.y[part.samples]
+        require_finite(y)
+        assert isinstance(part.waveform, Held)
+        bounds = level_bounds(part.waveform.times, len(part), part.dt)
+        levels = settled_levels(y, bounds, self.discard)
+        if np.ptp(levels.values) <= self.threshold * np.max(levels.errors):
+            raise EstimationError(
+                "the output settles at the same value at all levels: the static gain of a block is zero"
+            )
+        unsettled = levels.unsettled(self.threshold, self.tolerance)
+        if self.require_steady and len(unsettled):
+            j = int(unsettled[np.argmax(np.abs(levels.drift[unsettled]))])
+            raise EstimationError(
+                f"the output has not settled at level {j + 1} of {len(x)}: it moves by {levels.drift[j]:.3g} "
+                "from the third to the last quarter; hold the levels longer"
+            )
+        fit = fit_polynomial(x, levels, self.degree)
+        step = int(np.argmax(np.abs(np.diff(levels.values)))) + 1
+        rise = rise_time(
+            y[bounds[step] : bounds[step + 1]], part.dt, levels.values[step - 1], levels.values[step]
+        )
+        return Staircase(x, levels, fit, rise, part.dt * float(np.min(np.diff(bounds))) / rise)
+
+    def _part(self, record: Record) -> Part:
+        held = {name: part for name, part in record.parts.items() if isinstance(part.waveform, Held)}
+        if self.experiment is not None and self.experiment not in held:
+            raise EstimationError(f"the record has no experiment '{self.experiment}' with a held input")
+        chosen = [held[self.experiment]] if self.experiment is not None else [*held.values()]
+        if len(chosen) != 1:
+            raise EstimationError(
+                f"the record has {len(chosen)} experiments with a held input, and one is needed: a staircase "
+                "applied to a continuous system; name it with 'experiment' if there are several"
+            )
+        return chosen[0]
+
+
+def _levels_of(part: Part) -> Array:
+    assert isinstance(part.waveform, Held)
+    return part.waveform.levels

@@ -1,0 +1,1 @@
+"""Continuous-time Hammerstein and Wiener models by integral transforms over moving horizons."""

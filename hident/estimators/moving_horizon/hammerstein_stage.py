@@ -1,0 +1,227 @@
+"""The first stage of the two-stage algorithm for Hammerstein models: the static function.
+
+Chen, Hwang and Chang 2009, section 4.4 (stage 1) and the search for partition points of section 5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from hident.config.spec import Count, Interval, Spec
+from hident.errors import EstimationError
+from hident.estimators.moving_horizon.hammerstein_iteration import Iteration, iterate
+from hident.estimators.moving_horizon.linear_transform import StageSpec, block_of
+from hident.estimators.moving_horizon.searches import History, PartitionSearch
+from hident.estimators.moving_horizon.static_functions import (
+    PolynomialFunction,
+    ThreeSegmentFunction,
+    powers,
+    three_segments,
+)
+from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
+from hident.records import Array
+from hident.systems.continuous import ContinuousTransferFunction
+
+StaticFunction = PolynomialFunction | ThreeSegmentFunction
+
+# Offsets of a refinement, in steps of the grid before it.
+_FINER = np.array([-0.5, -0.25, 0.0, 0.25, 0.5])
+# Levels times partition pairs that the search evaluates at once.
+_AT_ONCE = 2**17
+
+
+class Polynomial(Spec):
+    """A polynomial without constant term (2)."""
+
+    kind: Literal["polynomial"]
+    """The kind."""
+    degree: Annotated[Count, Field(ge=1, le=20)]
+    """Degree p."""
+
+    @property
+    def size(self) -> int:
+        """The number of coefficients."""
+        return self.degree
+
+
+class ThreeSegment(Spec):
+    """A cubic between two partition points and straight lines beyond (4)."""
+
+    kind: Literal["three_segment"]
+    """The kind."""
+    partition: Literal["search"] | Interval = "search"
+    """Partition points [u_-1, u_1], or search for those that minimise (30)."""
+    points: Annotated[Count, Field(ge=2)] = 12
+    """Partition points of either sign that the search tries, evenly spaced over the input's range."""
+    refinements: Annotated[Count, Field(ge=0)] = 1
+    """Refinements of the search around the best pair, each on a grid four times as fine."""
+
+    size: ClassVar[int] = 5
+
+    @field_validator("partition")
+    @classmethod
+    def _around_zero(cls, partition: Any) -> Any:
+        if partition != "search" and not partition[0] < 0.0 < partition[1]:
+            raise ValueError(
+                f"must be [u_-1, u_1] with u_-1 < 0 < u_1, not [{partition[0]:g}, {partition[1]:g}]"
+            )
+        return partition
+
+    def require_inside(self, u: Array) -> None:
+        """Raise EstimationError unless the inputs (N,) have room for the partition points."""
+        low, high = float(u.min()), float(u.max())
+        if not low < 0.0 < high:
+            raise EstimationError(
+                f"the input ranges from {low:g} to {high:g}: "
+                "partition points need inputs on both sides of zero"
+            )
+        if self.partition != "search":
+            lower, upper = self.partition
+            if not (low < lower and upper < high):
+                raise EstimationError(
+                    f"the partition points [{lower:g}, {upper:g}] must lie inside the inputs' range "
+                    f"[{low:g}, {high:g}]: move them, or let 'partition: search' find them"
+                )
+
+
+@dataclass(frozen=True, eq=False)
+class FirstStage:
+    """What the first stage found.
+
+    ``phi`` (N, P) are the regressors of the last iteration; ``jacobian`` (N, P) also counts what the
+    coefficients c_j do to the internal variable. ``partition`` is the search for partition points.
+    """
+
+    function: StaticFunction
+    block: ContinuousTransferFunction
+    phi: Array
+    jacobian: Array
+    horizons: Horizons
+    knots: Knots
+    iteration: Iteration
+    partition: PartitionSearch | None
+
+    def history(self) -> History:
+        """The parameters against the iteration."""
+        names = [f"a_{i}" for i in range(1, len(self.block.a) + 1)]
+        names += [f"b_{i}" for i in range(1, len(self.block.b))]
+        names += [f"c_{j}" for j in range(1, len(self.function.c) + 1)]
+        converged, count = bool(self.iteration.converged[0]), len(self.iteration.history)
+        return History(
+            {**dict(zip(names, self.iteration.history.T, strict=True)), "b_0": np.ones(count)},
+            converged,
+            f"{'converged' if converged else 'stopped'} after {count} iterations",
+        )
+
+
+def first_stage(
+    u: Array,
+    y: Array,
+    dt: float,
+    nonlinearity: Polynomial | ThreeSegment,
+    stage: StageSpec,
+    *,
+    delay: float,
+    start: float,
+    tolerance: float,
+    max_iterations: int,
+) -> FirstStage:
+    """Stage 1 from a held input ``u`` (N,) and the output ``y`` (N,).
+
+    Raises
+    ------
+    EstimationError
+        If the regression is singular, or the input does not suit the partition points.
+    ValueError
+        If the horizons do not suit the record.
+    """
+    horizons = stage.horizons(len(u), dt, start, stage.n + stage.m + nonlinearity.size)
+    knots = Knots.of(u, delay, dt)
+    output = horizons.transform(horizons.sampled(knots), y)
+    # The input's transforms are sums over the levels that it is held at, of which there are few.
+    operator, levels = horizons.held_runs(u, delay, stage.m + 1)
+    identity = horizons.transform(operator, levels)
+
+    def iterated(functions: Array) -> tuple[Array, Iteration]:
+        """The transforms (B, m + 1, N, p) of functions (levels, B, p), and the iteration with them."""
+        count, size = functions.shape[1:]
+        basis = horizons.transform(operator, functions.reshape(len(levels), -1))
+        basis = basis.reshape(stage.m + 1, horizons.count, count, size).transpose(2, 0, 1, 3)
+        found = iterate(
+            output, basis, identity, m=stage.m, tolerance=tolerance, max_iterations=max_iterations
+        )
+        return basis, found
+
+    partition, build = None, _polynomial
+    if isinstance(nonlinearity, Polynomial):
+        functions = powers(levels, nonlinearity.degree)
+    else:
+        nonlinearity.require_inside(u)
+        if nonlinearity.partition == "search":
+            partition = _search(levels, nonlinearity, lambda functions: iterated(functions)[1].loss)
+            lower, upper = partition.best
+        else:
+            lower, upper = nonlinearity.partition
+        functions = three_segments(levels, lower, upper)
+        build = partial(_three_segment, lower=lower, upper=upper)
+    (basis,), iteration = iterated(functions[:, None])
+    theta, n = iteration.theta[0], stage.n
+    a, b, c = theta[:n], theta[n : n + stage.m], theta[n + stage.m :]
+    block = block_of(a, [1.0, *b], delay)
+    derivatives = basis @ c
+    phi = np.column_stack((*-output[1:], *derivatives[1:], basis[0]))
+    jacobian = phi.copy()
+    jacobian[:, n + stage.m :] += np.einsum("mkp,m->kp", basis[1:], b)
+    return FirstStage(build(c), block, phi, jacobian, horizons, knots, iteration, partition)
+
+
+def _polynomial(c: Array) -> StaticFunction:
+    return PolynomialFunction(tuple(c.tolist()))
+
+
+def _three_segment(c: Array, lower: float, upper: float) -> StaticFunction:
+    return ThreeSegmentFunction(tuple(c.tolist()), lower, upper)
+
+
+def _search(levels: Array, spec: ThreeSegment, losses: Callable[[Array], Array]) -> PartitionSearch:
+    """The partition points that minimise (30), on a grid over the input's range and finer ones around.
+
+    Raises
+    ------
+    EstimationError
+        If every pair gives a singular regression.
+    """
+    low, high = float(levels.min()), float(levels.max())
+
+    def evaluated(lower: Array, upper: Array) -> Array:
+        # Long records are searched in pieces, so that memory does not grow with the number of pairs.
+        pieces = min(len(lower), -(-len(levels) * len(lower) * len(upper) // _AT_ONCE))
+        loss = []
+        for some in np.array_split(lower, pieces):
+            pairs = np.meshgrid(some, upper, indexing="ij")
+            functions = three_segments(levels[:, None, None], *pairs).reshape(len(levels), -1, spec.size)
+            loss.append(losses(functions).reshape(len(some), len(upper)))
+        found = np.concatenate(loss)
+        return np.where(np.isfinite(found), found, np.nan)
+
+    inner = np.arange(1, spec.points + 1) / (spec.points + 1)
+    lower, upper = low * inner, high * inner
+    first = loss = evaluated(lower, upper)
+    grid = (lower, upper)
+    steps = -low / (spec.points + 1), high / (spec.points + 1)
+    for refinement in range(spec.refinements + 1):
+        if not np.any(np.isfinite(loss)):
+            raise EstimationError("no partition points give a regression that is not singular")
+        i, j = np.unravel_index(np.nanargmin(loss), loss.shape)
+        best, least = (float(lower[i]), float(upper[j])), float(loss[i, j])
+        if refinement < spec.refinements:
+            finer = _FINER / 4.0**refinement
+            lower, upper = best[0] + steps[0] * finer, best[1] + steps[1] * finer
+            loss = evaluated(lower, upper)
+    return PartitionSearch(*grid, first, best, least)

@@ -1,0 +1,151 @@
+"""What the iterative two-stage estimators of Hammerstein and Wiener systems share."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from hident.config.spec import Count, Flag, Real
+from hident.errors import EstimationError
+from hident.estimators.base import EstimatorSpec, require_finite
+from hident.estimators.moving_horizon.horizon_least_squares import scaled_condition, variance_inflation
+from hident.estimators.moving_horizon.linear_transform import SecondStageSpec, StageSpec
+from hident.records import Array, Record
+from hident.systems.continuous import ContinuousTransferFunction
+
+
+def padded(block: ContinuousTransferFunction, n: int, prefix: str = "") -> dict[str, float]:
+    """The parameters a_1, ..., a_n, b_0, ..., b_(n - 1) by name, zero where the block has none."""
+    names = [f"a_{i}" for i in range(1, n + 1)] + [f"b_{i}" for i in range(n)]
+    values = block.values()
+    return {prefix + name: values.get(name, 0.0) for name in names}
+
+
+def multicollinearity(phi: Array, prefix: str = "") -> dict[str, float]:
+    """Mean and largest variance inflation factor and the scaled condition of the regressors, by name."""
+    factors = variance_inflation(phi)
+    return {
+        f"{prefix}vif_mean": float(factors.mean()),
+        f"{prefix}vif_max": float(factors.max()),
+        f"{prefix}condition": float(scaled_condition(phi)),
+    }
+
+
+# Section 5's loop ends after this many rounds at the latest.
+ROUNDS = 5
+
+
+class MovingHorizonSpec(EstimatorSpec):
+    """Base of the estimators of continuous-time models over moving horizons."""
+
+    delay: Annotated[Real, Field(ge=0)] = 0.0
+    """Delay d, in the unit of dt; need not be a multiple of dt."""
+    start: Annotated[Real, Field(ge=0)] = 0.0
+    """Time t_0 at which the first horizon starts."""
+
+    def draws(self) -> bool:
+        return False
+
+    def fewest_samples(self) -> int:
+        return 2
+
+    def check(self, n: int, dt: float | None) -> None:
+        if dt is None:
+            raise ValueError("a continuous-time method needs the sampling interval 'dt' of the data")
+        self.check_horizons(n, dt)
+
+    def check_horizons(self, n: int, dt: float) -> None:
+        """Raise ValueError if the horizons do not suit records of ``n`` samples every ``dt``."""
+        raise NotImplementedError
+
+    def sampling_interval(self, record: Record) -> float:
+        """The sampling interval of a record that suits; EstimationError if it does not."""
+        require_finite(record.y)
+        try:
+            self.check(len(record), record.dt)
+        except ValueError as error:
+            raise EstimationError(str(error)) from None
+        if not np.any(record.y):
+            raise EstimationError("the output is zero throughout")
+        assert record.dt is not None
+        return record.dt
+
+
+class IterativeSpec(MovingHorizonSpec):
+    """Base of the iterative two-stage estimators."""
+
+    first: StageSpec
+    """The first stage, which finds the static function."""
+    second: SecondStageSpec | None = None
+    """The second stage, which finds the linear block; without it the first stage's block is the estimate."""
+    automatic: Flag = False
+    """Section 5's loop: the structure that the second stage finds is the first stage's until it repeats."""
+    tolerance: Annotated[Real, Field(gt=0)]
+    """The iteration ends when the parameters change by less than this, relative to their norm."""
+    max_iterations: Annotated[Count, Field(ge=1)]
+    """The most iterations."""
+
+    @model_validator(mode="after")
+    def _loop_needs_a_search(self) -> Self:
+        if self.automatic and (self.second is None or self.second.structure != "search"):
+            raise ValueError("'automatic' needs a second stage with 'structure: search'")
+        return self
+
+    @property
+    def largest_n(self) -> int:
+        """The largest order n among the stages, up to which parameters are named."""
+        return max(self.first.n, 0 if self.second is None else self.second.most)
+
+    def function_parameters(self) -> int:
+        """The number of parameters of the first stage besides a_1, ..., a_n and b_1, ..., b_m."""
+        raise NotImplementedError
+
+    def check_horizons(self, n: int, dt: float) -> None:
+        stages = [self.first]
+        if self.automatic:
+            stages.append(self.first.of_structure(self.largest_n, self.largest_n - 1))
+        for stage in stages:
+            stage.horizons(n, dt, self.start, stage.n + stage.m + self.function_parameters())
+        if self.second is not None:
+            self.second.check(n, dt, self.start, gain=False)
+
+    def error_names(self, lowest: int) -> list[str]:
+        """The names of the standard errors of a_1, ... and of b_i from b_lowest on."""
+        n = self.largest_n
+        return [f"se_a_{i}" for i in range(1, n + 1)] + [f"se_b_{i}" for i in range(lowest, n)]
+
+    def errors_by_name(self, a: Array, b: Array, lowest: int) -> dict[str, float]:
+        """The standard errors of a_1, ... and b_lowest, ... by name, zero where there is no parameter."""
+        errors = dict.fromkeys(self.error_names(lowest), 0.0)
+        errors |= {f"se_a_{i}": float(error) for i, error in enumerate(a, start=1)}
+        return errors | {f"se_b_{i}": float(error) for i, error in enumerate(b, start=lowest)}
+
+    def stage_names(self) -> list[str]:
+        """The names of the values of both stages' linear blocks and regressions."""
+        letters = [f"a_{i}" for i in range(1, self.largest_n + 1)] + [f"b_{i}" for i in range(self.largest_n)]
+        names = [*letters, "vif_mean", "vif_max", "condition"]
+        return [*names, *(f"first_{name}" for name in names), "n", "m", "delay", "settling_time", "horizon"]
+
+
+def structure_of(block: ContinuousTransferFunction) -> tuple[int, int, float]:
+    """n, m and the delay of a block."""
+    return len(block.a), len(block.b) - 1, block.delay
+
+
+def second_horizon(
+    block: ContinuousTransferFunction, share: float, given: float | None
+) -> tuple[float, float]:
+    """The settling time of the first stage's block, and eta of the second: a share of it, or as given.
+
+    Raises
+    ------
+    EstimationError
+        If the block does not settle.
+    """
+    settling = block.settling_time()
+    if not math.isfinite(settling):
+        raise EstimationError("the first stage's block is unstable or has no static gain: it never settles")
+    return settling, share * settling if given is None else given

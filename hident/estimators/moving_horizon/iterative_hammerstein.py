@@ -1,0 +1,187 @@
+"""Continuous-time Hammerstein systems by the iterative two-stage method over moving horizons.
+
+Chen, Hwang and Chang 2009. Stage 1 finds the static function, stage 2 the linear block behind it.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Discriminator, Field
+
+from hident.config.spec import Count, Real, component
+from hident.errors import EstimationError
+from hident.estimators.moving_horizon.hammerstein_stage import (
+    FirstStage,
+    Polynomial,
+    ThreeSegment,
+    first_stage,
+)
+from hident.estimators.moving_horizon.iterative import (
+    ROUNDS,
+    IterativeSpec,
+    multicollinearity,
+    padded,
+    second_horizon,
+    structure_of,
+)
+from hident.estimators.moving_horizon.linear_transform import LinearFit, StageSpec
+from hident.estimators.moving_horizon.sandwich import influence, standard_errors
+from hident.estimators.moving_horizon.searches import StructureSearch
+from hident.estimators.moving_horizon.static_functions import ThreeSegmentFunction
+from hident.records import Estimate, Record
+
+# Section 5: the polynomial that a first structure is found with.
+_GUESS = Polynomial(kind="polynomial", degree=5)
+# Section 4.4: the share of the settling time that the second stage's horizons last.
+_SHARE = 0.5
+
+
+@component("estimator", "iterative_hammerstein", source="Chen, Hwang, Chang 2009, eq. (22), (25), (27)")
+class IterativeHammerstein(IterativeSpec):
+    """Continuous-time Hammerstein system by the iterative two-stage algorithm."""
+
+    nonlinearity: Annotated[Polynomial | ThreeSegment, Discriminator("kind")]
+    """The static function: {kind: polynomial, degree: 5} or {kind: three_segment, partition: search}."""
+    tolerance: Annotated[Real, Field(gt=0)] = 1e-6
+    """The iteration ends when the parameters change by less than this, relative to their norm."""
+    max_iterations: Annotated[Count, Field(ge=1)] = 100
+    """The most iterations."""
+
+    def function_parameters(self) -> int:
+        size = self.nonlinearity.size
+        return max(size, _GUESS.size) if self.automatic else size
+
+    def provides(self) -> frozenset[str]:
+        names = [*self.stage_names(), *(f"c_{j}" for j in range(1, self.nonlinearity.size + 1))]
+        names += [*self.error_names(1), "iterations", "converged"]
+        if isinstance(self.nonlinearity, ThreeSegment):
+            names += ["u_-1", "u_1"]
+        return frozenset({"nonlinearity", "continuous", "response"} | {f"value {name}" for name in names})
+
+    def check_record(self, record: Record) -> None:
+        if isinstance(self.nonlinearity, ThreeSegment):
+            self.nonlinearity.require_inside(record.u)
+
+    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        dt = self.sampling_interval(record)
+        if self.automatic:
+            first, second, search = self._loop(record, dt)
+        else:
+            first = self._first(record, dt, self.nonlinearity, self.first, self.delay)
+            second, search = self._second(record, dt, first)
+        return self._estimate(record, dt, first, second, search)
+
+    def _first(
+        self,
+        record: Record,
+        dt: float,
+        nonlinearity: Polynomial | ThreeSegment,
+        stage: StageSpec,
+        delay: float,
+    ) -> FirstStage:
+        try:
+            return first_stage(
+                record.u,
+                record.y,
+                dt,
+                nonlinearity,
+                stage,
+                delay=delay,
+                start=self.start,
+                tolerance=self.tolerance,
+                max_iterations=self.max_iterations,
+            )
+        except ValueError as error:
+            raise EstimationError(str(error)) from None
+
+    def _second(
+        self, record: Record, dt: float, first: FirstStage
+    ) -> tuple[LinearFit | None, StructureSearch | None]:
+        if self.second is None:
+            return None, None
+        eta = second_horizon(first.block, _SHARE, self.second.horizon)[1]
+        x = first.function(record.u)
+        return self.second.fit(record.y, x, dt, delay=first.block.delay, eta=eta, start=self.start, gain=1.0)
+
+    def _loop(self, record: Record, dt: float) -> tuple[FirstStage, LinearFit | None, StructureSearch | None]:
+        """The automatic loop of section 5: a polynomial finds the first structure."""
+        first = self._first(record, dt, _GUESS, self.first, self.delay)
+        second, search = self._second(record, dt, first)
+        for _ in range(ROUNDS):
+            assert second is not None  # by validation
+            n, m, delay = structure_of(second.block)
+            first = self._first(record, dt, self.nonlinearity, self.first.of_structure(n, m), delay)
+            second, search = self._second(record, dt, first)
+            assert second is not None
+            if structure_of(second.block) == (n, m, delay):
+                break
+        return first, second, search
+
+    def _estimate(
+        self,
+        record: Record,
+        dt: float,
+        first: FirstStage,
+        second: LinearFit | None,
+        search: StructureSearch | None,
+    ) -> Estimate:
+        block = first.block if second is None else second.block
+        function = first.function
+        last = first if second is None else second
+        settling, eta = first.block.settling_time(), last.horizons.eta
+        values = {
+            **padded(block, self.largest_n),
+            **padded(first.block, self.largest_n, "first_"),
+            **multicollinearity(last.phi),
+            **multicollinearity(first.phi, "first_"),
+            **self._errors(record, dt, first, second),
+            **{f"c_{j}": c for j, c in enumerate(function.c, start=1)},
+            "n": float(len(block.a)),
+            "m": float(len(block.b) - 1),
+            "delay": block.delay,
+            "settling_time": settling,
+            "horizon": eta,
+            "iterations": float(first.iteration.iterations[0]),
+            "converged": float(first.iteration.converged[0]),
+        }
+        if isinstance(function, ThreeSegmentFunction):
+            values |= {"u_-1": function.lower, "u_1": function.upper}
+        details: dict[str, Any] = {"history": first.history()}
+        if first.partition is not None:
+            details["partition"] = first.partition
+        if search is not None:
+            details["structure"] = search
+        return Estimate(
+            nonlinearity=function,
+            continuous=block,
+            response=lambda u, dt: block.respond(function(u), dt),
+            values=values,
+            details=details,
+        )
+
+    def _errors(
+        self, record: Record, dt: float, first: FirstStage, second: LinearFit | None
+    ) -> dict[str, float]:
+        """The sandwich standard errors of the block, zero where it has no parameter.
+
+        The first stage solves phi' (z - phi theta) = 0, so that its parameters vary by
+        (phi' jacobian)^-1 phi' times the equations' errors; to the second stage's own errors come those
+        of the coefficients c_j.
+        """
+        bread = np.asarray(np.linalg.solve(first.phi.T @ first.jacobian, first.phi.T), dtype=float)
+        derivative = influence(bread, first.horizons, first.knots, first.block.a)
+        block = first.block
+        if second is not None:
+            block = second.block
+            onto = np.asarray(np.linalg.pinv(second.phi), dtype=float)
+            operator, levels = second.horizons.held_runs(record.u, block.delay, len(block.b))
+            basis = second.horizons.transform(operator, first.function.basis(levels))
+            by_c = onto @ np.einsum("mkp,m->kp", basis, np.array(block.b))
+            own = influence(onto, second.horizons, second.knots, block.a)
+            derivative = own - by_c @ derivative[-len(first.function.c) :]
+        residual = record.y - block.respond(first.function(record.u), dt)
+        found = standard_errors(derivative, residual)
+        n = len(block.a)
+        return self.errors_by_name(found[:n], found[n : n + len(block.b) - 1], 1)

@@ -1,0 +1,213 @@
+"""Continuous-time Wiener systems by the iterative two-stage method over moving horizons.
+
+Chen, Hwang and Chang 2009. Stage 1 finds the nonlinearity, stage 2 the linear block before it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Discriminator, Field
+
+from hident.config.spec import Count, Real, component
+from hident.errors import EstimationError
+from hident.estimators.moving_horizon.iterative import (
+    ROUNDS,
+    IterativeSpec,
+    multicollinearity,
+    padded,
+    second_horizon,
+    structure_of,
+)
+from hident.estimators.moving_horizon.linear_transform import LinearFit, Measured, StageSpec
+from hident.estimators.moving_horizon.searches import StructureSearch
+from hident.estimators.moving_horizon.wiener_errors import wiener_errors
+from hident.estimators.moving_horizon.wiener_iteration import Rule, Wiener
+from hident.estimators.moving_horizon.wiener_stage import (
+    FourSegmentSpec,
+    PolynomialSpec,
+    WienerStage,
+    first_stage,
+)
+from hident.records import Array, Characteristic, Estimate, Record
+from hident.systems.continuous import ContinuousTransferFunction
+from hident.systems.nonlinearity import PiecewiseLinear
+
+# Section 4.4: the share of the settling time that the second stage's horizons last.
+_SHARE = 1.0
+_CLUSTERS = 20
+
+
+@dataclass(frozen=True)
+class WienerResponse:
+    """The response of a nonlinearity after a linear block, from rest."""
+
+    block: ContinuousTransferFunction
+    nonlinearity: Characteristic
+
+    def __call__(self, u: Array, dt: float) -> Array:
+        return self.nonlinearity(self.block.respond(u, dt))
+
+
+def smoothed(v: Array, y: Array, clusters: int) -> Array:
+    """The means of ``v`` and ``y``, both (N,), over neighbouring clusters of equal size, shape (2, clusters).
+
+    Chen, Hwang and Chang 2009, example 3. Clusters with the same mean of v are one.
+    """
+    order = np.argsort(v, kind="stable")
+    parts = np.array_split(order, min(clusters, len(v)))
+    means = np.array([[signal[part].mean() for part in parts] for signal in (v, y)])
+    _, first = np.unique(means[0], return_index=True)
+    return np.asarray(means[:, first])
+
+
+@component(
+    "estimator",
+    "iterative_wiener",
+    source="Chen, Hwang, Chang 2009, eq. (12)-(17), (23), (26), (28), (29), (31), (32), sections 4, 5",
+)
+class IterativeWiener(IterativeSpec):
+    """Continuous-time Wiener system by the iterative two-stage algorithm.
+
+    Differs from the paper: poles of an iterate in the right half plane are reflected into the left one, and
+    an iteration that ends badly starts again from the linear model's output.
+    """
+
+    nonlinearity: Annotated[FourSegmentSpec | PolynomialSpec, Discriminator("kind")]
+    """The nonlinearity: {kind: four_segment, partition: search} or {kind: polynomial, degree: 4}."""
+    weight: Annotated[Real, Field(ge=0, le=1)] = 0.5
+    """Weight of the linear block's output in the internal variable (29)."""
+    tolerance: Annotated[Real, Field(gt=0)] = 1e-3
+    """The iteration ends when the parameters change by less than this, relative to their norm."""
+    max_iterations: Annotated[Count, Field(ge=1)] = 60
+    """The most iterations."""
+    smooth: Annotated[Count, Field(ge=2)] | None = None
+    """Estimate the nonlinearity by straight lines through the means of this many clusters (example 3)."""
+
+    def function_parameters(self) -> int:
+        return len(self.nonlinearity.coefficients()) + 1
+
+    def provides(self) -> frozenset[str]:
+        names = [*self.stage_names(), *self.nonlinearity.names(), "iterations", "converged"]
+        if isinstance(self.nonlinearity, FourSegmentSpec):
+            names += self.error_names(0)
+        return frozenset({"nonlinearity", "continuous", "response"} | {f"value {name}" for name in names})
+
+    def check_record(self, record: Record) -> None:
+        if not isinstance(self.nonlinearity, FourSegmentSpec) or self.nonlinearity.partition == "search":
+            return
+        low, high = float(record.y.min()), float(record.y.max())
+        lower, upper = self.nonlinearity.partition
+        if not (low < lower and upper < high):
+            raise EstimationError(
+                f"the partition points [{lower:g}, {upper:g}] must lie inside the outputs' range "
+                f"[{low:g}, {high:g}]: move them, or let 'partition: search' find them"
+            )
+
+    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        dt = self.sampling_interval(record)
+        self.check_record(record)
+        wiener, first = self._first(record, dt, self.first, self.delay)
+        second, search = self._second(record, dt, first)
+        for _ in range(ROUNDS if self.automatic else 0):
+            assert second is not None  # by validation
+            n, m, delay = structure_of(second.block)
+            if structure_of(first.block) == (n, m, delay):
+                break
+            wiener, first = self._first(record, dt, self.first.of_structure(n, m), delay)
+            second, search = self._second(record, dt, first)
+        return self._estimate(record, dt, wiener, first, second, search)
+
+    def _first(self, record: Record, dt: float, stage: StageSpec, delay: float) -> tuple[Wiener, WienerStage]:
+        parameters = stage.n + stage.m + self.function_parameters()
+        try:
+            horizons = stage.horizons(len(record), dt, self.start, parameters)
+        except ValueError as error:
+            raise EstimationError(str(error)) from None
+        wiener = Wiener.of(record.u, record.y, dt, m=stage.m, delay=delay, horizons=horizons)
+        rule = Rule(self.weight, self.tolerance, self.max_iterations)
+        return wiener, first_stage(wiener, self.nonlinearity, rule, self.start)
+
+    def _second(
+        self, record: Record, dt: float, first: WienerStage
+    ) -> tuple[LinearFit | None, StructureSearch | None]:
+        if self.second is None:
+            return None, None
+        eta = second_horizon(first.block, _SHARE, self.second.horizon)[1]
+        block = first.block
+        gain, nonlinearity = block.b[0], first.nonlinearity
+        # The output of the linear block is now known, (28b), and so is its static gain.
+        return self.second.fit(
+            first.x,
+            record.u,
+            dt,
+            delay=block.delay,
+            eta=eta,
+            start=self.start,
+            gain=gain,
+            measured=Measured(record.y, lambda x: nonlinearity(x / gain)),
+        )
+
+    def _estimate(
+        self,
+        record: Record,
+        dt: float,
+        wiener: Wiener,
+        first: WienerStage,
+        second: LinearFit | None,
+        search: StructureSearch | None,
+    ) -> Estimate:
+        block = first.block if second is None else second.block
+        unit = block.scaled(1.0 / block.b[0])
+        v = unit.respond(record.u, dt)
+        clusters = smoothed(v, record.y, self.smooth or _CLUSTERS)
+        nonlinearity = first.nonlinearity if self.smooth is None else _through(clusters)
+        values = {
+            **padded(block, self.largest_n),
+            **padded(first.block, self.largest_n, "first_"),
+            **multicollinearity(first.phi if second is None else second.phi),
+            **multicollinearity(first.phi, "first_"),
+            **first.values,
+            **self._errors(wiener, first, second),
+            "n": float(len(block.a)),
+            "m": float(len(block.b) - 1),
+            "delay": block.delay,
+            "settling_time": first.block.settling_time(),
+            "horizon": self.first.horizon if second is None else second.horizons.eta,
+            "iterations": float(first.iterations),
+            "converged": float(first.history.converged),
+        }
+        details: dict[str, Any] = {
+            "history": first.history,
+            "internal_variable": np.array([v, record.y]),
+            "smoothed": clusters,
+        }
+        if first.partition is not None:
+            details["partition"] = first.partition
+        if search is not None:
+            details["structure"] = search
+        return Estimate(
+            nonlinearity=nonlinearity,
+            continuous=unit,
+            response=WienerResponse(unit, nonlinearity),
+            values=values,
+            details=details,
+        )
+
+    def _errors(self, wiener: Wiener, first: WienerStage, second: LinearFit | None) -> dict[str, float]:
+        """The standard errors by name, zero where the block has no parameter; none for a polynomial."""
+        if not isinstance(self.nonlinearity, FourSegmentSpec):
+            return {}
+        e = np.array([first.values[name] for name in self.nonlinearity.coefficients()])
+        points = first.values["y_-1"], first.values["y_1"]
+        found = wiener_errors(wiener, first.phi, first.block, e, points, self.weight, second)
+        return self.errors_by_name(*found, 0)
+
+
+def _through(points: Array) -> PiecewiseLinear:
+    """Straight lines through the ``points`` (2, K)."""
+    if points.shape[1] < 2:
+        raise EstimationError("the linear block's output does not vary: there is nothing to smooth")
+    return PiecewiseLinear(points=tuple(map(tuple, points.T.tolist())))

@@ -1,0 +1,56 @@
+"""A linear model of the whole system by the time-weighted transform: what ignoring the nonlinearity gives."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import model_validator
+
+from hident.config.spec import component
+from hident.estimators.moving_horizon.iterative import MovingHorizonSpec, multicollinearity, padded
+from hident.estimators.moving_horizon.linear_transform import SecondStageSpec
+from hident.records import Estimate, Record
+
+
+@component("estimator", "linear_model", source="Hwang and Lin 2003; Chen, Hwang, Chang 2009, examples 5, 6")
+class LinearModel(MovingHorizonSpec):
+    """Continuous-time linear model by least squares over moving horizons."""
+
+    block: SecondStageSpec
+    """Structure and horizons of the model; the horizon's length is required here."""
+
+    @model_validator(mode="after")
+    def _with_horizon(self) -> LinearModel:
+        if self.block.horizon is None:
+            raise ValueError("block.horizon is required: the length eta of the horizons")
+        return self
+
+    def check_horizons(self, n: int, dt: float) -> None:
+        self.block.check(n, dt, self.start, gain=True)
+
+    def provides(self) -> frozenset[str]:
+        n = self.block.most
+        names = [f"a_{i}" for i in range(1, n + 1)] + [f"b_{i}" for i in range(n)]
+        names += ["vif_mean", "vif_max", "condition", "n", "m", "delay", "settling_time"]
+        return frozenset({"continuous", "response"} | {f"value {name}" for name in names})
+
+    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        dt, eta = self.sampling_interval(record), self.block.horizon
+        assert eta is not None
+        found, search = self.block.fit(
+            record.y, record.u, dt, delay=self.delay, eta=eta, start=self.start, gain=None
+        )
+        block = found.block
+        values = {
+            **padded(block, self.block.most),
+            **multicollinearity(found.phi),
+            "n": float(len(block.a)),
+            "m": float(len(block.b) - 1),
+            "delay": block.delay,
+            "settling_time": block.settling_time(),
+        }
+        return Estimate(
+            continuous=block,
+            response=block.respond,
+            values=values,
+            details={} if search is None else {"structure": search},
+        )

@@ -1,0 +1,303 @@
+"""A continuous linear block by least squares over moving horizons, and the search for its structure.
+
+Hwang and Lin 2003 for linear systems, and the second stage of Chen, Hwang and Chang 2009, section 4.4:
+the block has a held, known input x and a sampled output y,
+
+    y + a_1 y^(1) + ... + a_n y^(n) = b_0 x(t - d) + ... + b_m x^(m)(t - d),
+
+and its static gain b_0 may be known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field, model_validator
+
+from hident.config.spec import Count, Real, Spec
+from hident.errors import EstimationError
+from hident.estimators.moving_horizon.horizon_least_squares import solve
+from hident.estimators.moving_horizon.searches import StructureSearch
+from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
+from hident.records import Array, Characteristic
+from hident.systems.continuous import ContinuousTransferFunction
+
+_NEAR_THE_BEST = 1.25
+
+Overlap = Annotated[Real, Field(gt=0, le=1)]
+Order = Annotated[Count, Field(ge=1, le=8)]
+
+
+@dataclass(frozen=True, eq=False)
+class LinearFit:
+    """A linear block with the regressors ``phi`` (N, P) of a_1, ..., a_n, b_1, ..., b_m and, if free, b_0."""
+
+    block: ContinuousTransferFunction
+    phi: Array
+    horizons: Horizons
+    knots: Knots
+
+
+def linear_block(
+    output: Array,
+    held_input: Array,
+    dt: float,
+    *,
+    n: int,
+    m: int,
+    delay: float,
+    eta: float,
+    overlap: float,
+    start: float = 0.0,
+    gain: float | None = None,
+) -> LinearFit:
+    """The block of orders n and m < n, from ``output`` (N,) and the input ``held_input`` (N,).
+
+    ``eta``, ``overlap`` and ``start`` set the horizons; ``gain`` is b_0 if it is known.
+
+    Raises
+    ------
+    EstimationError
+        If the horizons do not suit the record, or the regression is singular.
+    """
+    try:
+        horizons = Horizons.of(len(output), dt, eta=eta, overlap=overlap, order=n, start=start)
+        horizons.require(n + m + (gain is None))
+    except ValueError as error:
+        raise EstimationError(str(error)) from None
+    knots = Knots.of(held_input, delay, dt)
+    y = horizons.transform(horizons.sampled(knots), output)
+    x = horizons.transform(horizons.held(delay), held_input)
+    free = [x[0]] if gain is None else []
+    phi = np.stack([*-y[1 : n + 1], *x[1 : m + 1], *free], axis=-1)
+    theta = solve(phi, y[0] if gain is None else y[0] - gain * x[0])
+    b_0 = theta[-1] if gain is None else gain
+    block = block_of(theta[:n], [b_0, *theta[n : n + m]], delay)
+    return LinearFit(block, phi, horizons, knots)
+
+
+def block_of(a: ArrayLike, b: ArrayLike, delay: float) -> ContinuousTransferFunction:
+    """The block with estimated coefficients a_1, ..., a_n and b_0, ..., b_m.
+
+    Raises
+    ------
+    EstimationError
+        If they are not finite, or a_n is zero.
+    """
+    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    if not (np.all(np.isfinite(a)) and np.all(np.isfinite(b)) and a[-1] != 0.0):
+        raise EstimationError("the regressors over the horizons are linearly dependent")
+    return ContinuousTransferFunction(tuple(b.tolist()), tuple(a.tolist()), delay)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What was measured behind the linear block: ``y`` (N,), after the static function ``after``."""
+
+    y: Array
+    after: Characteristic
+
+    @classmethod
+    def directly(cls, output: Array) -> Measured:
+        """The block's own output."""
+        return cls(output, lambda x: x)
+
+    def error_of(self, block: ContinuousTransferFunction, held_input: Array, dt: float) -> float:
+        """Root mean square of the simulated output's error over the output's standard deviation.
+
+        Infinite for an unstable block.
+        """
+        if not block.is_stable():
+            return math.inf
+        residual = self.y - self.after(block.respond(held_input, dt))
+        return float(np.sqrt(np.mean(residual**2)) / np.std(self.y))
+
+
+def search_structure(
+    output: Array,
+    held_input: Array,
+    dt: float,
+    *,
+    largest_n: int,
+    delays: Sequence[float],
+    eta: float,
+    overlap: float,
+    start: float = 0.0,
+    gain: float | None = None,
+    measured: Measured | None = None,
+) -> tuple[LinearFit, StructureSearch]:
+    """The block of the simplest structure (n, m, d) that is nearly the best.
+
+    Among the stable candidates with n up to ``largest_n``, m < n and the given ``delays``, those whose
+    simulated output error is within 1.25 of the least are nearly the best; of these the one with the fewest
+    parameters n + m is chosen, and the most accurate among equals. The simulated output, unlike the
+    residual of the regression, compares structures on one scale whatever the order of the weight; with
+    white measurement noise its error is that noise's for every structure that holds the true one, so that
+    the quotient of two such is near one, and well above it where a mode is missing. For that the noise must
+    be that of a measurement: behind a Wiener system's block it is the ``measured`` output, not ``output``,
+    whose noise the inverse nonlinearity has stretched.
+
+    Raises
+    ------
+    EstimationError
+        If no candidate is stable.
+    """
+    measured = measured or Measured.directly(output)
+    fits: list[LinearFit | None] = []
+    candidates = [(n, m, d) for d in delays for n in range(1, largest_n + 1) for m in range(n)]
+    errors = []
+    for n, m, delay in candidates:
+        try:
+            fit = linear_block(
+                output,
+                held_input,
+                dt,
+                n=n,
+                m=m,
+                delay=delay,
+                eta=eta,
+                overlap=overlap,
+                start=start,
+                gain=gain,
+            )
+        except EstimationError:
+            fits.append(None)
+            errors.append(math.inf)
+        else:
+            fits.append(fit)
+            errors.append(measured.error_of(fit.block, held_input, dt))
+    error = np.array(errors)
+    if not np.any(np.isfinite(error)):
+        raise EstimationError(f"no structure up to n = {largest_n} gives a stable linear block")
+    near = error <= _NEAR_THE_BEST * error.min()
+    chosen = min(np.flatnonzero(near), key=lambda i: (sum(candidates[i][:2]), error[i]))
+    best = fits[chosen]
+    assert best is not None
+    ns, ms, ds = (np.array(part) for part in zip(*candidates, strict=True))
+    return best, StructureSearch(ns, ms, ds.astype(float), error, int(chosen))
+
+
+class StageSpec(Spec):
+    """The structure and the horizons of the first stage."""
+
+    n: Order
+    """Order n of the linear block; it may be wrong at this stage."""
+    m: Annotated[Count, Field(ge=0)] = 0
+    """Order m of its numerator, below n."""
+    horizon: Annotated[Real, Field(gt=0)]
+    """Length eta of the horizons, best between one and two settling times."""
+    overlap: Overlap = 0.1
+    """lambda: the horizons start lambda eta apart."""
+
+    @model_validator(mode="after")
+    def _proper(self) -> Self:
+        require_proper(self.n, self.m)
+        return self
+
+    def of_structure(self, n: int, m: int) -> StageSpec:
+        """The same horizons for a block of other orders."""
+        return self.model_copy(update={"n": n, "m": m})
+
+    def horizons(self, samples: int, dt: float, start: float, parameters: int) -> Horizons:
+        """The horizons; ValueError if they do not suit the record or the number of parameters."""
+        horizons = Horizons.of(samples, dt, eta=self.horizon, overlap=self.overlap, order=self.n, start=start)
+        horizons.require(parameters)
+        return horizons
+
+
+class SecondStageSpec(Spec):
+    """The structure and the horizons of the second stage."""
+
+    structure: Literal["given", "search"] = "given"
+    """Whether n and m are given, or searched for among all up to largest_n."""
+    n: Order | None = None
+    """Order n of the linear block (given)."""
+    m: Annotated[Count, Field(ge=0)] = 0
+    """Order m of its numerator, below n (given)."""
+    largest_n: Order = 4
+    """Largest order n that is tried (search)."""
+    delays: tuple[Annotated[Real, Field(ge=0)], ...] = ()
+    """Delays that are tried (search); the estimator's own by default."""
+    horizon: Annotated[Real, Field(gt=0)] | None = None
+    """Length eta of the horizons; by the settling time of the first stage's block by default."""
+    overlap: Overlap = 0.1
+    """lambda: the horizons start lambda eta apart."""
+
+    @model_validator(mode="after")
+    def _keys_fit(self) -> Self:
+        given = {"n", "m"} & self.model_fields_set
+        searched = {"largest_n", "delays"} & self.model_fields_set
+        if self.structure == "search" and given:
+            raise ValueError(f"a search finds n and m: leave out {', '.join(sorted(given))}")
+        if self.structure == "given":
+            if searched:
+                raise ValueError(f"only 'structure: search' takes {' and '.join(sorted(searched))}")
+            if self.n is None:
+                raise ValueError("give the order 'n', or 'structure: search'")
+            require_proper(self.n, self.m)
+        return self
+
+    def check(self, samples: int, dt: float, start: float, *, gain: bool) -> None:
+        """Raise ValueError if given horizons do not suit the record; ``gain``: whether b_0 is free."""
+        if self.horizon is None:
+            return
+        horizons = Horizons.of(
+            samples, dt, eta=self.horizon, overlap=self.overlap, order=self.most, start=start
+        )
+        horizons.require(self.most + (self.m if self.n is not None else self.most - 1) + gain)
+
+    @property
+    def most(self) -> int:
+        """The largest order n that this stage can find."""
+        return self.n if self.n is not None else self.largest_n
+
+    def fit(
+        self,
+        output: Array,
+        held_input: Array,
+        dt: float,
+        *,
+        delay: float,
+        eta: float,
+        start: float,
+        gain: float | None,
+        measured: Measured | None = None,
+    ) -> tuple[LinearFit, StructureSearch | None]:
+        """The second stage's block, by horizons of length ``eta``, and the search for its structure."""
+        if self.n is None:
+            return search_structure(
+                output,
+                held_input,
+                dt,
+                largest_n=self.largest_n,
+                delays=self.delays or (delay,),
+                eta=eta,
+                overlap=self.overlap,
+                start=start,
+                gain=gain,
+                measured=measured,
+            )
+        fit = linear_block(
+            output,
+            held_input,
+            dt,
+            n=self.n,
+            m=self.m,
+            delay=delay,
+            eta=eta,
+            overlap=self.overlap,
+            start=start,
+            gain=gain,
+        )
+        return fit, None
+
+
+def require_proper(n: int, m: int) -> None:
+    """Raise ValueError unless m < n."""
+    if m >= n:
+        raise ValueError(f"m must be below n = {n}, not {m}: take m = {n - 1} or less, or a larger n")

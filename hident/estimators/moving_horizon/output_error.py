@@ -1,0 +1,268 @@
+"""Structured output-error fits of continuous-time Hammerstein and Wiener models by Gauss-Newton.
+
+======  =====================================================================================
+A, B    1 + a_1 s + ... + a_n s^n and b_0 + b_1 s + ... + b_m s^m; the block is B e^(-ds) / A
+c       coefficients of the nonlinearity in a given basis (Hammerstein), where b_0 = 1
+e       slopes e_-2, e_-1, e_2 of the inverse nonlinearity (Wiener), where e_1 = 1
+J       derivative of the output by all parameters, shape (N, P)
+======  =====================================================================================
+
+Beyond Chen, Hwang and Chang 2009, whose regression equations weigh the noise as the integral transform
+does: for white noise at the output, the minimum of the squared output error is the efficient estimate. It
+needs a start near it, such as theirs. Equation numbers are those of their paper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hident.errors import EstimationError
+from hident.estimators.base import require_finite
+from hident.estimators.bilinear_models.bilinear import lengths
+from hident.estimators.moving_horizon.four_segment import (
+    FourSegment,
+    forward,
+    forward_by_slopes,
+    forward_slope,
+)
+from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
+from hident.records import Array
+from hident.systems.continuous import ContinuousTransferFunction
+
+_HALVINGS = 30
+_MAX_ITERATIONS = 100
+_RESTS = 1e-4
+"""Length of a step, in standard errors, up to which it does not matter."""
+_STALLS = 0.5
+"""The same where no step descends, as can be at a sample that lies on a bend of the nonlinearity."""
+_ROUNDING = 1e-12
+"""Length of a step, as a change of the output relative to it, up to which it is rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """A structured output-error fit.
+
+    ``coefficients`` are c (J,) or e_-2, e_-1, e_2; ``covariance`` (P, P) is that of a_1, ..., a_n, of b_1,
+    ..., b_m (Hammerstein) or b_0, ..., b_m (Wiener), then of the coefficients; ``variance`` is the noise's.
+    """
+
+    block: ContinuousTransferFunction
+    coefficients: Array
+    covariance: Array
+    variance: float
+    iterations: int
+
+    @property
+    def standard_errors(self) -> Array:
+        """Those of the parameters in the order of ``covariance``, shape (P,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """A linear least squares problem solved: Q'y (P,), and R^-1 (P, P) for columns = Q R."""
+
+    projected: Array
+    inverse: Array
+
+    @property
+    def solution(self) -> Array:
+        return self.inverse @ self.projected
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """A model: the residuals (N,) and J (N, P) at ``theta``, and the coefficients of the nonlinearity."""
+
+    theta: Array
+    coefficients: Array
+    residuals: Array
+    jacobian: Array
+
+    @property
+    def loss(self) -> float:
+        return float(self.residuals @ self.residuals)
+
+    @property
+    def variance(self) -> float:
+        rows, columns = self.jacobian.shape
+        spare: int = rows - columns
+        return self.loss / spare
+
+
+_Model = Callable[[Array], _Point | None]
+"""The model at ``theta``, None where there is none: an unstable block, a slope that is not positive."""
+
+
+def sensitivities(block: ContinuousTransferFunction, x: Array, dt: float) -> Array:
+    """The derivatives of ``block.respond(x, dt)`` by a_1, ..., a_n, b_0, ..., b_m, shape (N, n + m + 1).
+
+    They are responses to the held input ``x`` (N,) themselves, of -s^i B/A^2 and of s^i/A, and as exact.
+    """
+    denominator = (1.0, *block.a)
+    square = tuple(np.convolve(denominator, denominator)[1:].tolist())
+    falling = tuple(-b for b in block.b)
+    by_a = [
+        ContinuousTransferFunction((0.0,) * i + falling, square, block.delay)
+        for i in range(1, len(denominator))
+    ]
+    by_b = [
+        ContinuousTransferFunction((0.0,) * i + (1.0,), block.a, block.delay) for i in range(len(block.b))
+    ]
+    return np.column_stack([derivative.respond(x, dt) for derivative in (*by_a, *by_b)])
+
+
+def _solved(columns: Array, y: Array) -> _Solved:
+    if len(columns) <= columns.shape[1]:
+        raise EstimationError(f"{len(columns)} samples cannot determine {columns.shape[1]} parameters")
+    length = lengths(columns)
+    q, r = np.linalg.qr(columns / length)
+    singular_values = np.linalg.svd(r, compute_uv=False)
+    if singular_values[-1] * ILL_CONDITIONED <= singular_values[0]:
+        raise EstimationError(
+            f"the output does not tell the {columns.shape[1]} parameters apart: the input varies too little, "
+            "an order is too high, or a segment holds too few samples"
+        )
+    return _Solved(q.T @ y, np.linalg.solve(r, np.eye(len(r))) / length[:, None])
+
+
+def _stable(a: Array, b: Array, delay: float) -> ContinuousTransferFunction | None:
+    # All a_i > 0 is necessary.
+    if not np.all(a > 0.0):
+        return None
+    block = ContinuousTransferFunction(tuple(b.tolist()), tuple(a.tolist()), delay)
+    return block if block.is_stable() else None
+
+
+def _descended(model: _Model, current: _Point, step: Array) -> _Point | None:
+    """The first model along the halved steps that has a lower loss."""
+    for halving in range(_HALVINGS):
+        new = model(current.theta + 0.5**halving * step)
+        if new is not None and new.loss < current.loss:
+            return new
+    return None
+
+
+def _gauss_newton(model: _Model, theta: Array, size: float) -> tuple[_Point, Array, int]:
+    """Minimise the squared residuals from ``theta`` (p,) for an output of norm ``size``.
+
+    Returns the last model, the covariance of its parameters, and the number of steps. Further columns of J
+    belong to parameters that the model solves for, and the step is then that of variable projection in
+    Kaufman's form.
+    """
+    current = model(theta)
+    if current is None:
+        raise EstimationError("the start is unstable, or a slope is not positive")
+    for iteration in range(_MAX_ITERATIONS):
+        solved = _solved(current.jacobian, current.residuals)
+        length, error = float(np.linalg.norm(solved.projected)), float(np.sqrt(current.variance))
+        rests = length <= max(_RESTS * error, _ROUNDING * size)
+        new = None if rests else _descended(model, current, solved.solution[: len(theta)])
+        if new is None:
+            if not rests and length > _STALLS * error:
+                raise EstimationError(f"no step lowers the output error after {iteration} steps")
+            return current, current.variance * solved.inverse @ solved.inverse.T, iteration
+        current = new
+    raise EstimationError(f"the output error did not settle in {_MAX_ITERATIONS} steps")
+
+
+def refine_hammerstein(
+    basis_values: Array, y: Array, block: ContinuousTransferFunction, dt: float
+) -> Refinement:
+    """Fit y = B e^(-ds)/A sum_j c_j phi_j(u) + white noise, with b_0 = 1.
+
+    Parameters
+    ----------
+    basis_values : array, shape (N, J)
+        The basis functions phi_j of the held input.
+    y : array, shape (N,)
+        The output; the system is at rest before the first sample.
+    block : ContinuousTransferFunction
+        The start, with b_0 other than zero; its delay is kept.
+    dt : float
+        Sampling interval.
+
+    Returns
+    -------
+    Refinement
+        With J coefficients c.
+
+    Raises
+    ------
+    EstimationError
+        If the start is unstable or has no static gain, the parameters cannot be told apart, or the
+        iteration does not settle.
+    """
+    require_finite(y)
+    if block.b[0] == 0.0:
+        raise EstimationError("the start has no static gain: its b_0 is zero")
+    n = len(block.a)
+
+    def unpacked(theta: Array) -> ContinuousTransferFunction | None:
+        return _stable(theta[:n], np.concatenate(([1.0], theta[n:])), block.delay)
+
+    def model(theta: Array) -> _Point | None:
+        at = unpacked(theta)
+        if at is None:
+            return None
+        responses = np.column_stack([at.respond(phi, dt) for phi in basis_values.T])
+        c = _solved(responses, y).solution
+        outer = np.delete(sensitivities(at, basis_values @ c, dt), n, axis=1)
+        return _Point(theta, c, y - responses @ c, np.hstack([outer, responses]))
+
+    start = np.concatenate((block.a, np.array(block.b[1:]) / block.b[0]))
+    found, covariance, iterations = _gauss_newton(model, start, float(np.linalg.norm(y)))
+    refined = unpacked(found.theta)
+    assert refined is not None
+    return Refinement(refined, found.coefficients, covariance, found.variance, iterations)
+
+
+def refine_wiener(
+    u: Array, y: Array, block: ContinuousTransferFunction, nonlinearity: FourSegment, dt: float
+) -> Refinement:
+    """Fit y = f(B e^(-ds)/A u) + white noise, f being the four-segment function of eq. (32).
+
+    Parameters
+    ----------
+    u, y : array, shape (N,)
+        The held input, and the output; the system is at rest before the first sample.
+    block : ContinuousTransferFunction
+        The start; its delay is kept.
+    nonlinearity : FourSegment
+        The start, with the gain 1; its partition points are kept.
+    dt : float
+        Sampling interval.
+
+    Returns
+    -------
+    Refinement
+        With the coefficients e_-2, e_-1, e_2.
+
+    Raises
+    ------
+    EstimationError
+        If the start is unstable or has a slope that is not positive, the parameters cannot be told apart, or
+        the iteration does not settle.
+    """
+    require_finite(y)
+    n, p = len(block.a), len(block.a) + len(block.b)
+    points = nonlinearity.lower, nonlinearity.upper
+
+    def model(theta: Array) -> _Point | None:
+        at, e = _stable(theta[:n], theta[n:p], block.delay), theta[p:]
+        if at is None or not np.all(e > 0.0):
+            return None
+        x = at.respond(u, dt)
+        by_block = forward_slope(x, e, *points)[:, None] * sensitivities(at, u, dt)
+        jacobian = np.hstack([by_block, forward_by_slopes(x, e, *points)])
+        return _Point(theta, e, y - forward(x, e, *points), jacobian)
+
+    start = np.array([*block.a, *block.b, *nonlinearity.e])
+    found, covariance, iterations = _gauss_newton(model, start, float(np.linalg.norm(y)))
+    refined = _stable(found.theta[:n], found.theta[n:p], block.delay)
+    assert refined is not None
+    return Refinement(refined, found.coefficients, covariance, found.variance, iterations)

@@ -1,0 +1,107 @@
+"""The output-error refinement of a two-stage estimate as an estimator."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+from pydantic import AfterValidator
+
+from hident.config.spec import Of, component
+from hident.estimators.base import EstimatorSpec
+from hident.estimators.moving_horizon.four_segment import FourSegment
+from hident.estimators.moving_horizon.iterative import IterativeSpec
+from hident.estimators.moving_horizon.iterative_hammerstein import IterativeHammerstein
+from hident.estimators.moving_horizon.iterative_wiener import IterativeWiener, WienerResponse
+from hident.estimators.moving_horizon.output_error import Refinement, refine_hammerstein, refine_wiener
+from hident.estimators.moving_horizon.static_functions import PolynomialFunction, ThreeSegmentFunction
+from hident.estimators.moving_horizon.wiener_stage import FourSegmentSpec
+from hident.records import Estimate, Record
+
+
+def _refinable(start: EstimatorSpec) -> EstimatorSpec:
+    if isinstance(start, IterativeWiener):
+        fits = isinstance(start.nonlinearity, FourSegmentSpec) and start.smooth is None
+    else:
+        fits = isinstance(start, IterativeHammerstein)
+    if not fits:
+        raise ValueError(
+            "must be iterative_hammerstein, or iterative_wiener with four segments that are not smoothed"
+        )
+    assert isinstance(start, IterativeSpec)
+    if start.second is not None and start.second.structure == "search":
+        raise ValueError("must have a given structure: 'second.structure: search' leaves its parameters open")
+    return start
+
+
+@component("estimator", "output_error")
+class OutputError(EstimatorSpec):
+    """The two-stage estimate, refined to the least squared error of the simulated output."""
+
+    start: Annotated[IterativeSpec, Of("estimator"), AfterValidator(_refinable)]
+    """The estimate to start from: iterative_hammerstein or iterative_wiener."""
+
+    def draws(self) -> bool:
+        return False
+
+    def fewest_samples(self) -> int:
+        return self.start.fewest_samples()
+
+    def check(self, n: int, dt: float | None) -> None:
+        self.start.check(n, dt)
+
+    def check_record(self, record: Record) -> None:
+        self.start.check_record(record)
+
+    def _names(self) -> list[str]:
+        """The names of the refined parameters, in their order."""
+        start = self.start
+        n, m = (start.first.n, start.first.m) if start.second is None else (start.second.most, start.second.m)
+        a = [f"a_{i}" for i in range(1, n + 1)]
+        if isinstance(start, IterativeHammerstein):
+            b = [f"b_{i}" for i in range(1, m + 1)]
+            return [*a, *b, *(f"c_{j}" for j in range(1, start.nonlinearity.size + 1))]
+        return [*a, *(f"b_{i}" for i in range(m + 1)), "e_-2", "e_-1", "e_2"]
+
+    def provides(self) -> frozenset[str]:
+        names = self._names()
+        values = {f"value {name}" for name in (*names, *(f"se_{name}" for name in names), "iterations")}
+        return frozenset({"nonlinearity", "continuous", "response"} | values)
+
+    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        begun = self.start.fit(record, rng)
+        block, function, dt = begun.continuous, begun.nonlinearity, record.dt
+        assert block is not None
+        assert dt is not None
+        if isinstance(function, PolynomialFunction | ThreeSegmentFunction):
+            found = refine_hammerstein(function.basis(record.u), record.y, block, dt)
+            refined = replace(function, c=tuple(found.coefficients.tolist()))
+            return Estimate(
+                nonlinearity=refined,
+                continuous=found.block,
+                response=lambda u, step: found.block.respond(refined(u), step),
+                values=self._values(found, found.block.b[1:]),
+            )
+        assert isinstance(function, FourSegment)
+        bent = replace(function, gain=1.0)
+        found = refine_wiener(record.u, record.y, block.scaled(function.gain), bent, dt)
+        gain = found.block.b[0]
+        e_far, e_near, e_2 = found.coefficients.tolist()
+        unit, curve = found.block.scaled(1.0 / gain), replace(function, e=(e_far, e_near, e_2), gain=gain)
+        return Estimate(
+            nonlinearity=curve,
+            continuous=unit,
+            response=WienerResponse(unit, curve),
+            values=self._values(found, found.block.b),
+        )
+
+    def _values(self, found: Refinement, b: tuple[float, ...]) -> dict[str, float]:
+        names = self._names()
+        parameters = [*found.block.a, *b, *found.coefficients.tolist()]
+        errors = zip((f"se_{name}" for name in names), found.standard_errors.tolist(), strict=True)
+        return {
+            **dict(zip(names, parameters, strict=True)),
+            **dict(errors),
+            "iterations": float(found.iterations),
+        }

@@ -1,0 +1,290 @@
+"""The first stage for Wiener systems: the iteration and the search for the partition points.
+
+Chen, Hwang and Chang 2009, sections 4.2 and 5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field, field_validator
+
+from hident.config.spec import Count, Interval, Spec
+from hident.errors import EstimationError
+from hident.estimators.moving_horizon.batched_blocks import time_constants
+from hident.estimators.moving_horizon.four_segment import FourSegment, forward, inverse
+from hident.estimators.moving_horizon.linear_transform import block_of
+from hident.estimators.moving_horizon.searches import History, PartitionSearch
+from hident.estimators.moving_horizon.wiener_iteration import (
+    FourSegments,
+    Internal,
+    Iterates,
+    Powers,
+    Rule,
+    Wiener,
+    iterate,
+)
+from hident.records import Array, Characteristic
+from hident.systems.continuous import ContinuousTransferFunction
+from hident.systems.nonlinearity import Polynomial
+
+# Points of either sign on the search's grid, and on the finer one if no pair on the first will do.
+_GRIDS = (8, 16)
+_REFINEMENTS = 2
+# Iterations after which the search gives up a pair whose model stays inadmissible.
+_PATIENCE = 10
+# Samples of internal variables that the search holds at once.
+_AT_ONCE = 2**22
+# The spread of x relative to that of y below which the iteration has fallen to the solution x = 0.
+_TRIVIAL = 0.02
+
+
+class FourSegmentSpec(Spec):
+    """The four-segment inverse function (13)."""
+
+    kind: Literal["four_segment"]
+    """The kind."""
+    partition: Literal["search"] | Interval = "search"
+    """Partition points [y_-1, y_1], or search for those that minimise (31)."""
+
+    @field_validator("partition")
+    @classmethod
+    def _around_zero(cls, partition: Any) -> Any:
+        if partition != "search" and not partition[0] < 0.0 < partition[1]:
+            raise ValueError(
+                f"must be [y_-1, y_1] with y_-1 < 0 < y_1, not [{partition[0]:g}, {partition[1]:g}]"
+            )
+        return partition
+
+    def coefficients(self) -> list[str]:
+        """The names of the nonlinearity's estimated coefficients."""
+        return ["e_-2", "e_-1", "e_2"]
+
+    def names(self) -> list[str]:
+        """The names of all parameters."""
+        return [*self.coefficients(), "y_-1", "y_1"]
+
+
+class PolynomialSpec(Spec):
+    """A polynomial y = x + c_2 x^2 + ... + c_p x^p (10)."""
+
+    kind: Literal["polynomial"]
+    """The kind."""
+    degree: Annotated[Count, Field(ge=2, le=20)]
+    """Degree p."""
+
+    def coefficients(self) -> list[str]:
+        """The names of the nonlinearity's estimated coefficients."""
+        return [f"c_{i}" for i in range(2, self.degree + 1)]
+
+    def names(self) -> list[str]:
+        """The names of all parameters."""
+        return self.coefficients()
+
+
+NonlinearitySpec = FourSegmentSpec | PolynomialSpec
+
+
+@dataclass(frozen=True, eq=False)
+class WienerStage:
+    """What the first stage found.
+
+    ``nonlinearity`` is y(v) with x = b_0 v, ``values`` are its parameters by name, ``x`` (N,) is the internal
+    variable (28b), ``phi`` (K, P) the regressors.
+    """
+
+    block: ContinuousTransferFunction
+    nonlinearity: Characteristic
+    values: Mapping[str, float]
+    x: Array
+    phi: Array
+    history: History
+    partition: PartitionSearch | None = None
+
+    @property
+    def iterations(self) -> int:
+        """How many times the internal variable was updated."""
+        return len(self.history.values["b_0"]) - 1
+
+
+def first_stage(wiener: Wiener, spec: NonlinearitySpec, rule: Rule, start: float) -> WienerStage:
+    """The iteration of section 4.2, after a search for the partition points if none are given.
+
+    ``start`` is t_0, from which on the search compares the outputs (31).
+
+    Raises
+    ------
+    EstimationError
+        If a regression is singular, or no iteration ends in a stable block and a function from x to y.
+    """
+    if isinstance(spec, PolynomialSpec):
+        return _polynomial_stage(wiener, spec, rule)
+    if spec.partition != "search":
+        return _four_segment_stage(wiener, spec, rule, spec.partition)
+    search = search_partition(wiener, rule, start)
+    return replace(_four_segment_stage(wiener, spec, rule, search.best), partition=search)
+
+
+def _four_segment_stage(
+    wiener: Wiener, spec: FourSegmentSpec, rule: Rule, points: tuple[float, float]
+) -> WienerStage:
+    run = _run(wiener, lambda x: FourSegments.of_points(wiener, np.array(points)[:, None], x), rule)
+    lower, upper = points
+    a, b, c = wiener.split(run.path)
+    e = 1.0 - c
+    block = block_of(a[-1], b[-1], wiener.delay)
+    named = dict(zip(spec.coefficients(), e[-1].tolist(), strict=True))
+    return WienerStage(
+        block,
+        FourSegment(tuple(e[-1].tolist()), lower, upper, block.b[0]),
+        named | {"y_-1": lower, "y_1": upper},
+        inverse(wiener.y, e[-1], lower, upper),
+        run.phi,
+        run.history(a, b, dict(zip(spec.coefficients(), e.T, strict=True))),
+    )
+
+
+def _polynomial_stage(wiener: Wiener, spec: PolynomialSpec, rule: Rule) -> WienerStage:
+    run = _run(wiener, lambda x: Powers(wiener, spec.degree, x[:, None]), rule)
+    a, b, c = wiener.split(run.path)
+    block = block_of(a[-1], b[-1], wiener.delay)
+    # In v = x/b_0, the polynomial (10) with c_1 = 1.
+    scaled = np.concatenate(([0.0, 1.0], c[-1])) * block.b[0] ** np.arange(spec.degree + 1)
+    x_lin = wiener.internal(run.path[-1:])
+    return WienerStage(
+        block,
+        Polynomial(coefficients=tuple(scaled.tolist())),
+        dict(zip(spec.coefficients(), c[-1].tolist(), strict=True)),
+        Powers(wiener, spec.degree, x_lin).updated(x_lin, c[-1:], 0.0).x[:, 0],
+        run.phi,
+        run.history(a, b, dict(zip(spec.coefficients(), c.T, strict=True))),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """One iteration: theta against the iteration (S, P), the last regressors (K, P), and how it ended."""
+
+    path: Array
+    phi: Array
+    converged: bool
+    restart: str
+
+    def history(self, a: Array, b: Array, others: Mapping[str, Array]) -> History:
+        """The parameters a (S, n), b (S, m + 1) and the ``others`` (S,) against the iteration."""
+        named = {f"a_{i}": one for i, one in enumerate(a.T, start=1)}
+        named |= {f"b_{i}": one for i, one in enumerate(b.T)}
+        updates = len(self.path) - 1
+        ended = (
+            f"converged in {updates} iterations" if self.converged else f"stopped after {updates} iterations"
+        )
+        restarted = f"restarted from the linear model's output, since from y it {self.restart}; "
+        return History({**named, **others}, self.converged, (restarted if self.restart else "") + ended)
+
+
+def _run(wiener: Wiener, begin: Callable[[Array], Internal], rule: Rule) -> _Run:
+    """The iteration from x = y or, if that ends badly, from the linear model's output.
+
+    Raises
+    ------
+    EstimationError
+        If both end badly.
+    """
+    found = iterate(wiener, begin(wiener.y), rule)
+    if trouble := _trouble(wiener, found):
+        found = iterate(wiener, begin(wiener.linear_output()), rule)
+        if again := _trouble(wiener, found):
+            raise EstimationError(
+                f"the first stage's iteration {again}, also from the linear model's output: "
+                "try longer horizons, another structure or other partition points"
+            )
+    return _Run(found.path[:, 0], found.phi[0], bool(found.converged[0]), trouble)
+
+
+def _trouble(wiener: Wiener, found: Iterates) -> str:
+    """What is wrong with the end of the only iteration; empty if nothing is."""
+    theta = found.theta
+    if not np.all(np.isfinite(theta)):
+        return "met linearly dependent regressors or diverged"
+    if np.std(wiener.internal(theta)) < _TRIVIAL * np.std(wiener.y):
+        return "fell to the trivial solution x = 0"
+    if found.admissible[0]:
+        return ""
+    stable = np.all(time_constants(wiener.split(theta)[0]).real > 0.0)
+    return "ended in " + ("slopes e_i that are not all positive" if stable else "an unstable linear block")
+
+
+def search_partition(wiener: Wiener, rule: Rule, start: float) -> PartitionSearch:
+    """The partition points that minimise the output error (31), on a grid that is refined twice.
+
+    The grid lies at Chebyshev points of the output's range on either side of zero, dense towards zero and
+    the ends. A refinement tries the neighbours of the best pair at half the distance. Pairs that end in an
+    unstable block or a slope e_i that is not positive are rejected. If all are, the search starts again on a
+    finer grid, its iterations from the linear model's output in place of y.
+
+    Raises
+    ------
+    EstimationError
+        If the output has no values of either sign, or all pairs are rejected.
+    """
+    ends = np.array([wiener.y.min(), wiener.y.max()])
+    if not ends[0] < 0.0 < ends[1]:
+        raise EstimationError(
+            f"the output lies between {ends[0]:g} and {ends[1]:g}: partition points below and above zero "
+            "need values of either sign; subtract the steady state"
+        )
+    rule = replace(rule, patience=_PATIENCE)
+    for count, x in zip(_GRIDS, (wiener.y, wiener.linear_output()), strict=True):
+        step = 0.5 * np.pi / (count + 1)
+        grid = step * np.arange(1, count + 1)
+        angles = _pairs(grid[::-1], grid)
+        first = _losses(wiener, rule, start, _points(ends, angles), x)
+        if np.any(np.isfinite(first)):
+            break
+    else:
+        raise EstimationError("no pair of partition points gives a stable linear block and rising segments")
+    loss = first
+    for _ in range(_REFINEMENTS):
+        step /= 2.0
+        best = np.nanargmin(loss)
+        near = _pairs(*(angles[:, best, None] + step * np.arange(-1.0, 2.0)))
+        near = near[:, np.all((near > 0.0) & (near < 0.5 * np.pi), axis=0)]
+        loss = np.append(loss, _losses(wiener, rule, start, _points(ends, near), x))
+        angles = np.hstack((angles, near))
+    best = np.nanargmin(loss)
+    lower, upper = _points(ends, np.array([grid[::-1], grid]))
+    below, above = _points(ends, angles[:, best]).tolist()
+    return PartitionSearch(lower, upper, first.reshape(count, count), (below, above), float(loss[best]))
+
+
+def _pairs(lower: ArrayLike, upper: ArrayLike) -> Array:
+    """All pairs of a value of ``lower`` (L,) and one of ``upper`` (U,), shape (2, L U)."""
+    return np.reshape(np.meshgrid(lower, upper, indexing="ij"), (2, -1))
+
+
+def _points(ends: Array, angles: Array) -> Array:
+    """The partition points at ``angles`` (2, ...) between 0 and pi/2, from zero to the ``ends`` (2,)."""
+    return np.asarray((ends * np.sin(angles.T) ** 2).T)
+
+
+def _losses(wiener: Wiener, rule: Rule, start: float, points: Array, x: Array) -> Array:
+    """The criterion (31) for each pair of partition points (2, J); nan where the pair is rejected."""
+    at_once = max(1, _AT_ONCE // len(x))
+    parts = [points[:, i : i + at_once] for i in range(0, points.shape[1], at_once)]
+    return np.concatenate([_some_losses(wiener, rule, start, part, x) for part in parts])
+
+
+def _some_losses(wiener: Wiener, rule: Rule, start: float, points: Array, x: Array) -> Array:
+    found = iterate(wiener, FourSegments.of_points(wiener, points, x), rule)
+    sound = found.admissible
+    theta = found.theta[sound]
+    e = 1.0 - wiener.split(theta)[2]
+    first = round(start / wiener.dt)
+    output = forward(wiener.internal(theta)[first:], e.T, *points[:, sound])
+    losses = np.full(len(sound), np.nan)
+    losses[sound] = wiener.dt * np.sum((wiener.y[first:, None] - output) ** 2, axis=0)
+    return losses

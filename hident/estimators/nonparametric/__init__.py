@@ -1,0 +1,1 @@
+"""Nonparametric estimates of a Hammerstein nonlinearity, and what undoes the linear block before them."""

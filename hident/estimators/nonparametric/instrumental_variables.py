@@ -1,0 +1,118 @@
+"""Step 1 of Mzyk 2009: the linear block of a Hammerstein system by instrumental variables.
+
+======  ===================================================================================
+phi_k   regressors y_{k-1}, ..., y_{k-p}, 1
+psi_k   instruments m(u_{k-1-q}), ..., m(u_{k-p-q}), 1 (the paper: q = 0)
+theta   a_1, ..., a_p and the constant
+======  ===================================================================================
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from hident.config.spec import Count, Of, component
+from hident.errors import EstimationError
+from hident.estimators.base import EstimatorSpec, require_finite
+from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED, dynamics, lagged
+from hident.records import Array, Estimate, Record
+from hident.systems.base import NonlinearitySpec
+
+
+def instrumental_variables(y: Array, m: Array, p: int, ma_order: int = 0) -> Estimate:
+    """Identify the linear block with the instruments m(u_k).
+
+    Parameters
+    ----------
+    y, m : arrays, shape (N,)
+        The output y_k, and m(u_k) for a function m with cov(mu(u_k), m(u_k)) != 0.
+    p : int
+        Order of the autoregression A, at least 1.
+    ma_order : int
+        Order q of the moving average B = 1 + b_1 z^-1 + ... + b_q z^-q.
+
+    Returns
+    -------
+    Estimate
+        The linear block B/A, the values ``a_1``, ..., ``a_p``, ``b_1``, ..., ``b_q`` and ``c`` = E w_k, and
+        the diagnostic ``condition``: the condition number of Psi'Phi with rows and columns scaled.
+
+    Raises
+    ------
+    EstimationError
+        If Psi'Phi is singular.
+
+    Notes
+    -----
+    Mzyk 2009, eq. (9)-(13). The input must be white and independent of the noise.
+
+    Differs from the paper: the record has no outputs before its first, so the sums begin at k = p + q, not
+    at the first sample. For q > 0 (remark 3's invertible ARMA block) the instruments are delayed by q more
+    samples, which makes them uncorrelated with w_k, ..., w_{k-q} and so identifies A; then
+    cov((A y)_k, m(u_{k-l})) = b_l cov(w_k, m(u_k)) gives B, with b_0 = 1 as the paper's gamma_0 = 1. The
+    constant of the regression is then B(1) E w_k, and ``c`` is that divided by B(1). Remark 3's own way for
+    an invertible filter is a high order p with q = 0.
+    """
+    require_finite(y)
+    q = ma_order
+    start = p + q
+    # Eq. (12)
+    phi = lagged(y, range(1, p + 1), start)
+    psi = lagged(m, range(1 + q, p + q + 1), start)
+    phi_scale, psi_scale = _lengths(phi), _lengths(psi)
+    moments = (psi @ phi.T) / np.outer(psi_scale, phi_scale)
+    condition = float(np.linalg.cond(moments))
+    if not condition < ILL_CONDITIONED:
+        raise EstimationError(
+            f"Psi'Phi is singular (condition number {condition:.1e}): the instruments are uncorrelated with "
+            "the output, or the order is too high; choose an instrument that is odd for an odd nonlinearity "
+            "and even for an even one, or a lower order"
+        )
+    theta = np.linalg.solve(moments, psi @ y[start:] / psi_scale) / phi_scale
+    a, constant = theta[:p], float(theta[p])
+
+    b = np.ones(1)
+    if q:
+        undone = y[start:] - a @ phi[:p]
+        undone -= undone.mean()
+        covariance = lagged(m, range(q + 1), start)[:-1] @ undone
+        b = covariance / covariance[0]
+    return dynamics(a, b, constant / float(b.sum()), condition)
+
+
+def _lengths(rows: Array) -> Array:
+    """Euclidean lengths of the rows, 1 for a row of zeros."""
+    lengths: Array = np.linalg.norm(rows, axis=1)
+    lengths[lengths == 0.0] = 1.0
+    return lengths
+
+
+@component("estimator", "instrumental_variables", source="Mzyk 2009, eq. (12)")
+class InstrumentalVariables(EstimatorSpec):
+    """Linear block by instrumental variables m(u); consistent under output noise."""
+
+    identifies_dynamics: ClassVar[bool] = True
+
+    order: Annotated[Count, Field(ge=1)]
+    """Order p of the autoregression; a high one also approximates an invertible ARMA block."""
+    instrument: Annotated[NonlinearitySpec, Of("nonlinearity")]
+    """The function m of the input: correlated with the nonlinearity's output."""
+    ma_order: Annotated[Count, Field(ge=0)] = 0
+    """Order q of the moving average b_1, ..., b_q (b_0 = 1)."""
+
+    def draws(self) -> bool:
+        return False
+
+    def provides(self) -> frozenset[str]:
+        feedback = {f"value a_{i + 1}" for i in range(self.order)}
+        numerator = {f"value b_{i + 1}" for i in range(self.ma_order)}
+        return frozenset({"linear", "value c", *feedback, *numerator})
+
+    def fewest_samples(self) -> int:
+        return 2 * self.order + self.ma_order + 1
+
+    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        return instrumental_variables(record.y, self.instrument(record.u), self.order, self.ma_order)

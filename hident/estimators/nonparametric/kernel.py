@@ -1,0 +1,201 @@
+"""Kernel regression of Mzyk 2009, (4) and (15)."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, assert_never
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from hident.config.spec import Real, Spec, component
+from hident.errors import EstimationError
+from hident.estimators.base import require_finite
+from hident.estimators.nonparametric.kernel_sums import (
+    GaussianSums,
+    PiecewiseKernel,
+    PiecewiseSums,
+    PrefixSums,
+    Window,
+    WindowSums,
+)
+from hident.estimators.nonparametric.prefilter import NonparametricSpec
+from hident.records import Array, Characteristic, Record
+
+Kernel = Literal["window_half", "window_unit", "triangular", "epanechnikov", "gaussian"]
+Empty = Literal["nearest", "zero", "mean", "fail"]
+
+_COMPACT: dict[str, Window | PiecewiseKernel] = {
+    "window_half": Window(0.5, closed=True),
+    "window_unit": Window(1.0, closed=False),
+    "triangular": PiecewiseKernel((-1.0, 0.0, 1.0), ((1.0, 1.0), (1.0, -1.0))),
+    "epanechnikov": PiecewiseKernel((-1.0, 1.0), ((0.75, 0.0, -0.75),)),
+}
+_BLOCK = 2**15
+
+
+class KernelRegression:
+    """A fitted kernel regression, callable on arrays of shape (M,); see :func:`kernel_regression`.
+
+    The samples are sorted once, and shared by all evaluations.
+    """
+
+    def __init__(
+        self,
+        u: Array,
+        y: Array,
+        *,
+        kernel: Kernel,
+        bandwidth: float,
+        empty: Empty,
+        order: NDArray[np.intp] | None = None,
+    ) -> None:
+        require_finite(y)
+        if order is None:
+            order = np.argsort(u)
+        self._u, y = u[order], y[order]
+        self._y_sums = PrefixSums(y)
+        self._bandwidth = bandwidth
+        self._empty = empty
+        self._sums = self._kernel_sums(y, kernel)
+
+    def _kernel_sums(self, y: Array, kernel: Kernel) -> GaussianSums | PiecewiseSums | WindowSums:
+        if kernel == "gaussian":
+            return GaussianSums(self._u, y, self._bandwidth)
+        compact = _COMPACT[kernel]
+        if isinstance(compact, Window):
+            return WindowSums(self._u, self._y_sums, compact, self._bandwidth)
+        return PiecewiseSums(self._u, y, self._y_sums, compact, self._bandwidth)
+
+    def __call__(self, points: Array) -> Array:
+        if np.all(points[:-1] <= points[1:]):
+            return self._at_increasing(points)
+        order = np.argsort(points)
+        values = np.empty(len(points))
+        values[order] = self._at_increasing(points[order])
+        return values
+
+    def _at_increasing(self, points: Array) -> Array:
+        values = np.empty(len(points))
+        # In blocks, whose samples stay in the cache.
+        for first in range(0, len(points), _BLOCK):
+            block = slice(first, first + _BLOCK)
+            weighted, weight = self._sums(points[block])
+            # Eq. (4), (15)
+            values[block] = weighted / np.where(weight > 0.0, weight, np.nan)
+        vacant = np.flatnonzero(np.isnan(values))
+        if len(vacant):
+            values[vacant] = self._without_samples(points[vacant], len(points))
+        return values
+
+    def _without_samples(self, points: Array, total: int) -> Array | float:
+        match self._empty:
+            case "nearest":
+                return self._nearest(points)
+            case "zero":
+                return 0.0
+            case "mean":
+                return float(self._y_sums.between(0, len(self._u))) / len(self._u)
+            case "fail":
+                raise EstimationError(
+                    f"{len(points)} of {total} points have no sample within the kernel's window "
+                    f"(bandwidth {self._bandwidth:.4g})"
+                )
+        assert_never(self._empty)
+
+    def _nearest(self, points: Array) -> Array:
+        """The mean of y over all samples at the least distance, on both sides if they tie."""
+        right = np.searchsorted(self._u, points)
+        below, above = self._u[np.maximum(right - 1, 0)], self._u[np.minimum(right, len(self._u) - 1)]
+        left_distance = np.where(right > 0, points - below, np.inf)
+        right_distance = np.where(right < len(self._u), above - points, np.inf)
+        start = np.where(left_distance <= right_distance, np.searchsorted(self._u, below), right)
+        stop = np.where(right_distance <= left_distance, np.searchsorted(self._u, above, "right"), right)
+        mean: Array = self._y_sums.between(start, stop) / (stop - start)
+        return mean
+
+
+def kernel_regression(
+    u: Array,
+    y: Array,
+    points: Array,
+    *,
+    kernel: Kernel,
+    bandwidth: float,
+    empty: Empty = "nearest",
+    order: NDArray[np.intp] | None = None,
+) -> Array:
+    """The kernel estimate of the regression R at the points.
+
+    Parameters
+    ----------
+    u, y : arrays, shape (N,)
+        Input and output, or filtered output.
+    points : array, shape (M,)
+        Where to evaluate.
+    kernel : str
+        With x = (u_k - u)/h: ``window_half``: 1 for abs(x) <= 0.5; ``window_unit``: 1 for abs(x) < 1;
+        ``triangular``: 1 - abs(x) and ``epanechnikov``: 0.75 (1 - x^2), both for abs(x) <= 1; ``gaussian``:
+        exp(-x^2/2)/sqrt(2 pi), at points within 8.5 bandwidths of a sample.
+    bandwidth : float
+        h > 0, in the unit of u.
+    empty : str
+        What a point without a sample gets: ``nearest`` y of the nearest sample (the mean over all samples
+        that tie), ``zero``, ``mean`` of all y, or ``fail``.
+    order : integer array, shape (N,), optional
+        The order that sorts u, if known.
+
+    Returns
+    -------
+    array, shape (M,)
+
+    Raises
+    ------
+    EstimationError
+        With ``empty="fail"``, if a point has no sample; if y is not finite.
+
+    Notes
+    -----
+    Mzyk 2009, eq. (4), and (15) for a filtered output; without the subtraction of R(0). The paper doesn't
+    say what a point without a sample gets. Takes O((N + M) log N). The error against the direct sum, in
+    units of max|y|, is below 1e-12, and below 1e-11 for the compact kernels where a window holds a sample or
+    two of N = 1e5.
+    """
+    fitted = KernelRegression(u, y, kernel=kernel, bandwidth=bandwidth, empty=empty, order=order)
+    return fitted(points)
+
+
+class Bandwidth(Spec):
+    """h_N = h0 N^-alpha, where N is the number of samples used."""
+
+    h0: Annotated[Real, Field(gt=0)]
+    """Factor, in the unit of the input."""
+    alpha: Annotated[Real, Field(ge=0, lt=1)]
+    """Exponent of the number of samples; 0 keeps the bandwidth fixed."""
+
+    def width(self, n: int) -> float:
+        """h_N for ``n`` samples."""
+        return self.h0 * math.pow(n, -self.alpha)
+
+
+@component("estimator", "kernel", source="Mzyk 2009, eq. (4), (15)")
+class KernelEstimator(NonparametricSpec):
+    """Characteristic by kernel regression, plain or with prefilter."""
+
+    kernel: Kernel
+    """The kernel: window_half is 1 for |x| <= 0.5, window_unit for |x| < 1, with x = (u_k - u)/h."""
+    bandwidth: Bandwidth
+    """The bandwidth."""
+    empty: Empty = "nearest"
+    """What a point without a sample in its window gets; fail: the estimate fails."""
+
+    def regression(self, samples: Record) -> Characteristic:
+        return KernelRegression(
+            samples.u,
+            samples.y,
+            kernel=self.kernel,
+            bandwidth=self.bandwidth.width(len(samples)),
+            empty=self.empty,
+            order=samples.order,
+        )

@@ -1,0 +1,190 @@
+"""Orthogonal series estimates of Mzyk 2009, (7) and (16).
+
+=====  ====================================================================
+g      R f, the regression times the input's density; alpha its coefficients
+f      the input's density; beta its coefficients
+q      cutoff level of the series
+=====  ====================================================================
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, field_validator, model_validator
+
+from hident.config.spec import Of, Real, Spec, component
+from hident.errors import EstimationError
+from hident.estimators.base import require_finite
+from hident.estimators.nonparametric.bases import BasisSpec
+from hident.estimators.nonparametric.prefilter import NonparametricSpec
+from hident.records import Array, Characteristic, Record
+
+Density = Callable[[Array], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class OrthogonalSeries:
+    """A fitted ratio of series, callable on arrays of shape (M,).
+
+    ``coefficients`` holds the rows alpha and, unless the ``density`` is known, beta.
+
+    Raises
+    ------
+    EstimationError
+        When called at points outside the basis's domain, where the series says nothing.
+    """
+
+    basis: BasisSpec
+    coefficients: Array
+    density: Density | None = None
+
+    def __call__(self, points: Array) -> Array:
+        low, high = self.basis.domain()
+        outside = len(points) - np.count_nonzero((points >= low) & (points <= high))
+        if outside:
+            raise EstimationError(
+                f"{outside} of {len(points)} points lie outside the domain [{low:g}, {high:g}] of the "
+                f"{self.basis.kind} basis"
+            )
+        series = self.basis.series(points, self.coefficients)
+        denominator = series[1] if self.density is None else self.density(points)
+        # An estimated density can vanish, and a known one is zero outside its support.
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            return np.asarray(series[0] / denominator)
+
+
+def fit_orthogonal_series(
+    u: Array, y: Array, basis: BasisSpec, q: int, density: Density | None = None
+) -> OrthogonalSeries:
+    """Estimate the coefficients of (7) or (16) from u and y (N,); see :func:`orthogonal_series`."""
+    require_finite(y)
+    n = len(u)
+    low, high = basis.domain()
+    inside = (u >= low) & (u <= high)
+    if not inside.all():
+        u, y = u[inside], y[inside]
+    # Mzyk 2009, section III-B: alpha_i = 1/N sum y_k phi_i(u_k), beta_i = 1/N sum phi_i(u_k)
+    weights = y[None] if density is not None else np.stack([y, np.ones_like(y)])
+    return OrthogonalSeries(basis, basis.sums(u, weights, q) / n, density)
+
+
+def orthogonal_series(
+    u: Array, y: Array, points: Array, basis: BasisSpec, q: int, density: Density | None = None
+) -> Array:
+    """The orthogonal series estimate of the regression R at the points.
+
+    Parameters
+    ----------
+    u, y : arrays, shape (N,)
+        Input and output, or filtered output.
+    points : array, shape (M,)
+        Where to evaluate, inside the basis's domain.
+    basis : BasisSpec
+        The orthonormal functions.
+    q : int
+        Cutoff level; the trigonometric basis has 2q + 1 functions up to it, the others q + 1.
+    density : callable, optional
+        The input's density f, if known; it then replaces its estimate in the denominator.
+
+    Returns
+    -------
+    array, shape (M,)
+        Not finite where the denominator is exactly zero.
+
+    Raises
+    ------
+    EstimationError
+        If points lie outside the basis's domain.
+
+    Notes
+    -----
+    Mzyk 2009, eq. (7), and (16) for a filtered output; without the subtraction of R(0). Samples outside
+    the domain belong to no function of the basis: they are left out of the sums but counted in 1/N.
+    """
+    return fit_orthogonal_series(u, y, basis, q, density)(points)
+
+
+class Terms(Spec):
+    """q(N) = floor(q0 N^alpha), where N is the number of samples used."""
+
+    q0: Annotated[Real, Field(gt=0)]
+    """Factor."""
+    alpha: Annotated[Real, Field(ge=0, lt=1)]
+    """Exponent of the number of samples; 0 keeps the level fixed."""
+
+    def level(self, n: int) -> int:
+        """q(N) for ``n`` samples."""
+        # An exact power such as 243^(1/5) = 3 must not round down for its last bit.
+        return math.floor(self.q0 * math.pow(n, self.alpha) * (1.0 + 1e-12))
+
+
+class UniformDensity(Spec):
+    """The uniform density on [low, high]."""
+
+    distribution: Literal["uniform"]
+    """The distribution's name."""
+    low: Real
+    """Lower end."""
+    high: Real
+    """Upper end."""
+
+    @model_validator(mode="after")
+    def _increasing(self) -> Self:
+        if not self.low < self.high:
+            raise ValueError("'low' must be less than 'high'")
+        return self
+
+    def __call__(self, x: Array) -> Array:
+        return np.where((x >= self.low) & (x <= self.high), 1.0 / (self.high - self.low), 0.0)
+
+
+class GaussianDensity(Spec):
+    """The Gaussian density."""
+
+    distribution: Literal["gaussian"]
+    """The distribution's name."""
+    mean: Real
+    """Mean."""
+    std: Annotated[Real, Field(gt=0)]
+    """Standard deviation."""
+
+    def __call__(self, x: Array) -> Array:
+        return np.exp(-0.5 * ((x - self.mean) / self.std) ** 2) / (self.std * math.sqrt(2.0 * math.pi))
+
+
+_DENSITIES: dict[str, type[UniformDensity] | type[GaussianDensity]] = {
+    "uniform": UniformDensity,
+    "gaussian": GaussianDensity,
+}
+
+
+@component("estimator", "orthogonal", source="Mzyk 2009, eq. (7), (16)")
+class Orthogonal(NonparametricSpec):
+    """Characteristic by a ratio of orthogonal series, plain or with prefilter."""
+
+    basis: Annotated[BasisSpec, Of("basis")]
+    """The orthonormal functions."""
+    terms: Terms
+    """The cutoff level of the series."""
+    density: Literal["estimated"] | UniformDensity | GaussianDensity = "estimated"
+    """The input's density: estimated by the same series, or known (distribution: uniform or gaussian)."""
+
+    @field_validator("density", mode="before")
+    @classmethod
+    def _choose_density(cls, value: Any) -> Any:
+        if value == "estimated" or isinstance(value, Spec):
+            return value
+        distribution = value.get("distribution") if isinstance(value, Mapping) else None
+        if distribution not in _DENSITIES:
+            raise ValueError("must be 'estimated' or a mapping with 'distribution: uniform' or 'gaussian'")
+        return _DENSITIES[distribution].model_validate(value)
+
+    def regression(self, samples: Record) -> Characteristic:
+        q = self.terms.level(len(samples))
+        density = None if self.density == "estimated" else self.density
+        return fit_orthogonal_series(samples.u, samples.y, self.basis, q, density)
