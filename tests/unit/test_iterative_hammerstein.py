@@ -365,7 +365,7 @@ class TestFailures:
     @pytest.mark.parametrize("nonlinearity", [SEARCHED, MATCHED])
     def test_inputs_of_one_sign(self, nonlinearity):
         made = record()
-        message = "the input ranges from 0.5 to 2: partition points need inputs on both sides of zero"
+        message = "the input ranges from 0.5 to 2: partition points need values on both sides of zero; subtract the steady state"
         one_sided = replace(made, u=np.clip(made.u, 0.5, 2.0))
         with pytest.raises(EstimationError, match=f"^{message}$"):
             fitted(one_sided, nonlinearity)
@@ -376,7 +376,7 @@ class TestFailures:
         made = record()
         narrow = replace(made, u=np.clip(made.u, -0.7, 1.5))
         message = re.escape(
-            "the partition points [-0.8, 0.6] must lie inside the inputs' range [-0.7, 1.5]: "
+            "the partition points [-0.8, 0.6] must lie inside the input's range [-0.7, 1.5]: "
             "move them, or let 'partition: search' find them"
         )
         with pytest.raises(EstimationError, match=message):
@@ -420,11 +420,11 @@ class TestMessages:
         [
             (
                 {"nonlinearity": {"kind": "three_segment", "partition": [0.1, 0.6]}},
-                "must be [u_-1, u_1] with u_-1 < 0 < u_1, not [0.1, 0.6]",
+                "must be [lower, upper] with lower < 0 < upper, zero being the steady state, not [0.1, 0.6]",
             ),
             (
                 {"nonlinearity": {"kind": "three_segment", "partition": [-0.1, 0]}},
-                "must be [u_-1, u_1] with u_-1 < 0 < u_1, not [-0.1, 0]",
+                "must be [lower, upper] with lower < 0 < upper, zero being the steady state, not [-0.1, 0]",
             ),
             ({"nonlinearity": {"kind": "three_segment", "points": 1}}, "must be greater than or equal to 2"),
             ({"nonlinearity": {"kind": "polynomial", "degree": 0}}, "must be greater than or equal to 1"),

@@ -194,7 +194,7 @@ class TestSmoothing:
         ({"first": {"n": 2, "m": 2, "horizon": 12}}, "m must be below n = 2, not 2"),
         (
             {"nonlinearity": {"kind": "four_segment", "partition": [0.1, 0.5]}},
-            r"must be \[y_-1, y_1\] with y_-1 < 0 < y_1, not \[0.1, 0.5\]",
+            r"must be \[lower, upper\] with lower < 0 < upper, zero being the steady state, not \[0.1, 0.5\]",
         ),
         ({"automatic": True}, "'automatic' needs a second stage with 'structure: search'"),
         ({"nonlinearity": {"kind": "polynomial", "degree": 1}}, "greater than or equal to 2"),
@@ -226,7 +226,7 @@ class TestHopelessRecords:
     def test_partition_points_outside_the_data(self):
         hopeless = spec(nonlinearity={"kind": "four_segment", "partition": [-0.6, 50]})
         message = (
-            r"partition points \[-0.6, 50\] must lie inside the outputs' range \[.*\]: move them, or let"
+            r"partition points \[-0.6, 50\] must lie inside the output's range \[.*\]: move them, or let"
         )
         with pytest.raises(EstimationError, match=message):
             hopeless.check_record(record())
@@ -236,7 +236,9 @@ class TestHopelessRecords:
 
     def test_an_output_of_one_sign_has_no_partition(self):
         data = record()
-        with pytest.raises(EstimationError, match="need values of either sign; subtract the steady state"):
+        with pytest.raises(
+            EstimationError, match="need values on both sides of zero; subtract the steady state"
+        ):
             fit(replace(data, y=data.y + 100.0), nonlinearity={"kind": "four_segment"})
 
     def test_an_input_at_rest(self):

@@ -112,12 +112,12 @@ HOPELESS = [
     (
         {"partition": "[-0.5, 4]", "levels": "distribution: uniform, limits: [-2, 2]"},
         # The input's range follows from the seed.
-        r"the partition points \[-0\.5, 4\] must lie inside the inputs' range \[-1\.9\d*, 1\.9\d*\]: "
+        r"the partition points \[-0\.5, 4\] must lie inside the input's range \[-1\.9\d*, 1\.9\d*\]: "
         r"move them, or let 'partition: search' find them",
     ),
     (
         {"partition": "search", "levels": "distribution: uniform, limits: [1, 2]"},
-        r"the input ranges from 1\.\d* to [12]\.?\d*: partition points need inputs on both sides of zero",
+        r"the input ranges from 1\.\d* to [12]\.?\d*: partition points need values on both sides of zero",
     ),
 ]
 UNSUITABLE = [

@@ -8,15 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
-from hident.config.spec import Count, Interval, Spec
+from hident.config.spec import Count, Spec
 from hident.errors import EstimationError
 from hident.estimators.moving_horizon.hammerstein_iteration import Iteration, iterate
 from hident.estimators.moving_horizon.linear_transform import StageSpec, block_of
+from hident.estimators.moving_horizon.partition import Partition, require_inside
 from hident.estimators.moving_horizon.searches import History, PartitionSearch
 from hident.estimators.moving_horizon.static_functions import (
     PolynomialFunction,
@@ -55,7 +56,7 @@ class ThreeSegment(Spec):
 
     kind: Literal["three_segment"]
     """The kind."""
-    partition: Literal["search"] | Interval = "search"
+    partition: Partition = "search"
     """Partition points [u_-1, u_1], or search for those that minimise (30)."""
     points: Annotated[Count, Field(ge=2)] = 12
     """Partition points of either sign that the search tries, evenly spaced over the input's range."""
@@ -63,31 +64,6 @@ class ThreeSegment(Spec):
     """Refinements of the search around the best pair, each on a grid four times as fine."""
 
     size: ClassVar[int] = 5
-
-    @field_validator("partition")
-    @classmethod
-    def _around_zero(cls, partition: Any) -> Any:
-        if partition != "search" and not partition[0] < 0.0 < partition[1]:
-            raise ValueError(
-                f"must be [u_-1, u_1] with u_-1 < 0 < u_1, not [{partition[0]:g}, {partition[1]:g}]"
-            )
-        return partition
-
-    def require_inside(self, u: Array) -> None:
-        """Raise EstimationError unless the inputs (N,) have room for the partition points."""
-        low, high = float(u.min()), float(u.max())
-        if not low < 0.0 < high:
-            raise EstimationError(
-                f"the input ranges from {low:g} to {high:g}: "
-                "partition points need inputs on both sides of zero"
-            )
-        if self.partition != "search":
-            lower, upper = self.partition
-            if not (low < lower and upper < high):
-                raise EstimationError(
-                    f"the partition points [{lower:g}, {upper:g}] must lie inside the inputs' range "
-                    f"[{low:g}, {high:g}]: move them, or let 'partition: search' find them"
-                )
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +138,7 @@ def first_stage(
     if isinstance(nonlinearity, Polynomial):
         functions = powers(levels, nonlinearity.degree)
     else:
-        nonlinearity.require_inside(u)
+        require_inside(nonlinearity.partition, u, "input")
         if nonlinearity.partition == "search":
             partition = _search(levels, nonlinearity, lambda functions: iterated(functions)[1].loss)
             lower, upper = partition.best

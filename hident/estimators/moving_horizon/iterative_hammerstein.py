@@ -27,6 +27,7 @@ from hident.estimators.moving_horizon.iterative import (
     structure_of,
 )
 from hident.estimators.moving_horizon.linear_transform import LinearFit, StageSpec
+from hident.estimators.moving_horizon.partition import require_inside
 from hident.estimators.moving_horizon.sandwich import influence, standard_errors
 from hident.estimators.moving_horizon.searches import StructureSearch
 from hident.estimators.moving_horizon.static_functions import ThreeSegmentFunction
@@ -62,7 +63,7 @@ class IterativeHammerstein(IterativeSpec):
 
     def check_record(self, record: Record) -> None:
         if isinstance(self.nonlinearity, ThreeSegment):
-            self.nonlinearity.require_inside(record.u)
+            require_inside(self.nonlinearity.partition, record.u, "input")
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         dt = self.sampling_interval(record)

@@ -22,6 +22,7 @@ from hident.estimators.moving_horizon.iterative import (
     structure_of,
 )
 from hident.estimators.moving_horizon.linear_transform import LinearFit, Measured, StageSpec
+from hident.estimators.moving_horizon.partition import require_inside
 from hident.estimators.moving_horizon.searches import StructureSearch
 from hident.estimators.moving_horizon.wiener_errors import wiener_errors
 from hident.estimators.moving_horizon.wiener_iteration import Rule, Wiener
@@ -96,15 +97,8 @@ class IterativeWiener(IterativeSpec):
         return frozenset({"nonlinearity", "continuous", "response"} | {f"value {name}" for name in names})
 
     def check_record(self, record: Record) -> None:
-        if not isinstance(self.nonlinearity, FourSegmentSpec) or self.nonlinearity.partition == "search":
-            return
-        low, high = float(record.y.min()), float(record.y.max())
-        lower, upper = self.nonlinearity.partition
-        if not (low < lower and upper < high):
-            raise EstimationError(
-                f"the partition points [{lower:g}, {upper:g}] must lie inside the outputs' range "
-                f"[{low:g}, {high:g}]: move them, or let 'partition: search' find them"
-            )
+        if isinstance(self.nonlinearity, FourSegmentSpec):
+            require_inside(self.nonlinearity.partition, record.y, "output")
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         dt = self.sampling_interval(record)

@@ -7,17 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, field_validator
+from pydantic import Field
 
-from hident.config.spec import Count, Interval, Spec
+from hident.config.spec import Count, Spec
 from hident.errors import EstimationError
 from hident.estimators.moving_horizon.batched_blocks import time_constants
 from hident.estimators.moving_horizon.four_segment import FourSegment, forward, inverse
 from hident.estimators.moving_horizon.linear_transform import block_of
+from hident.estimators.moving_horizon.partition import Partition, require_inside
 from hident.estimators.moving_horizon.searches import History, PartitionSearch
 from hident.estimators.moving_horizon.wiener_iteration import (
     FourSegments,
@@ -48,17 +49,8 @@ class FourSegmentSpec(Spec):
 
     kind: Literal["four_segment"]
     """The kind."""
-    partition: Literal["search"] | Interval = "search"
+    partition: Partition = "search"
     """Partition points [y_-1, y_1], or search for those that minimise (31)."""
-
-    @field_validator("partition")
-    @classmethod
-    def _around_zero(cls, partition: Any) -> Any:
-        if partition != "search" and not partition[0] < 0.0 < partition[1]:
-            raise ValueError(
-                f"must be [y_-1, y_1] with y_-1 < 0 < y_1, not [{partition[0]:g}, {partition[1]:g}]"
-            )
-        return partition
 
     def coefficients(self) -> list[str]:
         """The names of the nonlinearity's estimated coefficients."""
@@ -232,11 +224,7 @@ def search_partition(wiener: Wiener, rule: Rule, start: float) -> PartitionSearc
         If the output has no values of either sign, or all pairs are rejected.
     """
     ends = np.array([wiener.y.min(), wiener.y.max()])
-    if not ends[0] < 0.0 < ends[1]:
-        raise EstimationError(
-            f"the output lies between {ends[0]:g} and {ends[1]:g}: partition points below and above zero "
-            "need values of either sign; subtract the steady state"
-        )
+    require_inside("search", wiener.y, "output")
     rule = replace(rule, patience=_PATIENCE)
     for count, x in zip(_GRIDS, (wiener.y, wiener.linear_output()), strict=True):
         step = 0.5 * np.pi / (count + 1)
