@@ -365,7 +365,10 @@ class TestFailures:
     @pytest.mark.parametrize("nonlinearity", [SEARCHED, MATCHED])
     def test_inputs_of_one_sign(self, nonlinearity):
         made = record()
-        message = "the input ranges from 0.5 to 2: partition points need values on both sides of zero; subtract the steady state"
+        message = (
+            "the input ranges from 0.5 to 2: "
+            "partition points need values on both sides of zero; subtract the steady state"
+        )
         one_sided = replace(made, u=np.clip(made.u, 0.5, 2.0))
         with pytest.raises(EstimationError, match=f"^{message}$"):
             fitted(one_sided, nonlinearity)

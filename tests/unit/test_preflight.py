@@ -117,7 +117,8 @@ HOPELESS = [
     ),
     (
         {"partition": "search", "levels": "distribution: uniform, limits: [1, 2]"},
-        r"the input ranges from 1\.\d* to [12]\.?\d*: partition points need values on both sides of zero",
+        r"the input ranges from 1\.\d* to [12]\.?\d*: "
+        r"partition points need values on both sides of zero; subtract the steady state",
     ),
 ]
 UNSUITABLE = [

@@ -32,8 +32,8 @@ def require_inside(partition: str | tuple[float, float], signal: Array, name: st
     low, high = float(signal.min()), float(signal.max())
     if not low < 0.0 < high:
         raise EstimationError(
-            f"the {name} ranges from {low:g} to {high:g}: partition points need values on both sides of zero; "
-            "subtract the steady state"
+            f"the {name} ranges from {low:g} to {high:g}: "
+            "partition points need values on both sides of zero; subtract the steady state"
         )
     if not isinstance(partition, str):
         lower, upper = partition
