@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from hident.config.spec import Count, Of, Real, Spec, canonical
-from hident.errors import EstimationError, SimulationError
+from hident.errors import SimulationError, TrialFailed
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
 from hident.records import Array, Estimate, Part, Record
@@ -98,12 +98,6 @@ class Outcome:
     values: Array
     failure: str = ""
     crash: str = ""
-
-
-def generate_input(data: Data, seed: int, trial: int) -> Array:
-    """The input (N,) of one trial."""
-    stream = data.streams.generator("input", seed, data.key, trial)
-    return data.excitation.sample(data.samples, _interval(data), stream)
 
 
 def generate(data: Data, seed: int, trial: int) -> Record:
@@ -194,7 +188,7 @@ def _run_trial(
             found = estimate(data, job, record, seed, trial)
             values = [value for metric in job.metrics for value in _scored(metric, found, record)]
             yield Outcome(index, trial, np.array(values, dtype=float))
-        except (EstimationError, np.linalg.LinAlgError) as error:
+        except (TrialFailed, np.linalg.LinAlgError) as error:
             yield _failed(index, job, trial, error)
         except _CRASHES as error:
             yield _crashed(index, trial, error)

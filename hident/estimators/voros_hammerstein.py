@@ -208,8 +208,9 @@ class VorosSpec(EstimatorSpec):
         return frozenset(values | {"nonlinearity", "linear", "response"})
 
     def check(self, n: int, dt: float | None) -> None:
-        left = len(range(0, n, self._ratio(1.0 if dt is None else dt)))
-        if left < self.fewest_samples():
+        ratio = self._ratio(1.0 if dt is None else dt)
+        left = len(range(0, n, ratio))
+        if ratio > 1 and left < self.fewest_samples():
             raise ValueError(
                 f"a 'step' of {self.step:g} leaves {left} of the {n} samples, and the method needs at least "
                 f"{self.fewest_samples()}: use a shorter step or a longer record"

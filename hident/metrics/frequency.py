@@ -10,6 +10,7 @@ Gains are relative to the static ones, and phases are continuous from zero at w 
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -37,6 +38,12 @@ def sine_frequencies(record: Record) -> Array:
     sines = [w for w in waves if isinstance(w, Periodic) and w.harmonics.tolist() == [1]]
     omega = np.sort([2.0 * math.pi / wave.period for wave in sines])
     return omega[np.diff(omega, prepend=0.0) > _SAME * omega]
+
+
+def estimated_frequencies(estimate: Estimate) -> Array:
+    """The angular frequencies w_1, w_2, ... (n,) that the names of an estimate's gains and phases number."""
+    numbers = itertools.takewhile(lambda m: f"omega_{m}" in estimate.values, itertools.count(1))
+    return np.array([estimate.values[f"omega_{m}"] for m in numbers])
 
 
 def gain(block: ContinuousTransferFunction, omega: Array) -> Array:
@@ -123,9 +130,9 @@ class _True(_OfResponses):
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset({"blocks"})
 
-    def truths(self, record: Record) -> list[float]:
+    def truths(self, record: Record, omega: Array) -> list[float]:
+        """The true values at the frequencies w_1, w_2, ... (n,)."""
         assert record.truth is not None
-        omega = sine_frequencies(record)
         return [true_response(name, record.truth, omega) for name in self.of]
 
 
@@ -149,10 +156,10 @@ class Response(_Estimated):
 
 @component("metric", "true_response")
 class TrueResponse(_True):
-    """True gains and phases of the two linear blocks at the frequencies of the sines."""
+    """True gains and phases of the two linear blocks at the frequencies of all the record's sines."""
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        return self.truths(record)
+        return self.truths(record, sine_frequencies(record))
 
 
 @component("metric", "response_error")
@@ -163,8 +170,17 @@ class ResponseError(_Estimated, _True):
     """In percent of the true gain or phase."""
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        pairs = zip(self.estimates(estimate), self.truths(record), strict=True)
-        return [(found - true) * (100.0 / true if self.relative else 1.0) for found, true in pairs]
+        true = self.truths(record, estimated_frequencies(estimate))
+        errors = []
+        for name, found, at in zip(self.of, self.estimates(estimate), true, strict=True):
+            error = found - at
+            if name.startswith("phase"):
+                error = math.remainder(error, 2.0 * math.pi)
+            errors.append(error * (100.0 / at if self.relative else 1.0))
+        return errors
+
+    def needs_of_estimate(self) -> frozenset[str]:
+        return super().needs_of_estimate() | {f"value omega_{_parsed(name)[1]}" for name in self.of}
 
 
 @component("metric", "gain_shape_error")
@@ -194,7 +210,7 @@ class GainShapeError(MetricSpec):
             omega = np.array(self.harmonics) * _lowest_frequency(record)
             found = [estimate.values[name] for name in names]
         else:
-            omega = sine_frequencies(record)[: len(names)]
+            omega = estimated_frequencies(estimate)[: len(names)]
             found = [_product(f"series_gain_{m}", estimate.values) for m in range(1, len(names) + 1)]
         blocks = record.truth.blocks
         away = np.log(found / (gain(blocks["input"], omega) * gain(blocks["output"], omega)))

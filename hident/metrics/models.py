@@ -10,8 +10,9 @@ import numpy as np
 from pydantic import Field
 
 from hident.config.spec import Count, Of, Real, component
+from hident.errors import SimulationError
 from hident.metrics.base import MetricSpec
-from hident.records import Estimate, Record
+from hident.records import Array, Estimate, Record
 from hident.signals.base import ExcitationSpec
 from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.linear import TransferFunction
@@ -114,13 +115,28 @@ class ValidationError(MetricSpec):
         if not has_stable_block(estimate):
             return (math.inf,)
         dt = 1.0 if record.dt is None else record.dt
-        u = self.excitation.sample(self.samples, dt, np.random.default_rng(0))
+        u = validation_input(self.excitation, self.samples, dt)
         return (fit_error(estimate.response(u, dt), record.truth.response(u, dt)),)
 
 
+def validation_input(excitation: ExcitationSpec, samples: int, dt: float) -> Array:
+    """The input (samples,) of a validation; a random one is the same everywhere.
+
+    Raises
+    ------
+    SimulationError
+        If the samples cannot hold the excitation.
+    """
+    try:
+        excitation.check(samples, dt)
+    except ValueError as error:
+        raise SimulationError(f"the validation's excitation does not fit: {error}") from None
+    return excitation.sample(samples, dt, np.random.default_rng(0))
+
+
 def has_stable_block(estimate: Estimate) -> bool:
-    """Whether the linear block in continuous time is stable, if there is one."""
-    return estimate.continuous is None or estimate.continuous.is_stable()
+    """Whether the linear block is stable, if there is one."""
+    return all(block is None or block.is_stable() for block in (estimate.continuous, estimate.linear))
 
 
 def fit_error(predicted: np.ndarray, actual: np.ndarray) -> float:

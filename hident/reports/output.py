@@ -26,7 +26,7 @@ from hident.errors import ConfigError, StoreError
 from hident.ledger.verdicts import Verdict, frame, judge
 from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec
 from hident.reports.style import style
-from hident.reports.tables import written
+from hident.reports.tables import failures, written
 
 State = Literal["none", "old", "altered", "up to date"]
 CRASHES = "crashes.txt"
@@ -161,7 +161,7 @@ def _plain_table(results: Results) -> Table:
         tuple(written(value) if isinstance(value, float) else str(value) for value in row)
         for row in results.frame()[columns].itertuples(index=False)
     )
-    return Table("All statistics", tuple(columns), rows)
+    return Table("All statistics", tuple(columns), rows, tuple(failures(results.series)))
 
 
 def _differences(verdicts: Sequence[Verdict]) -> list[str]:

@@ -14,7 +14,7 @@ from hident.engine.results import Results
 from hident.engine.trial import Data
 from hident.errors import TrialFailed
 from hident.ledger.verdicts import Verdict
-from hident.metrics.models import fit_error, has_stable_block
+from hident.metrics.models import fit_error, has_stable_block, validation_input
 from hident.records import Array, Response
 from hident.reports.base import Misfit, Reference
 from hident.reports.one_trial import (
@@ -117,8 +117,7 @@ class Validation(OneTrialFigure):
         """The input and its times."""
         dt = 1.0 if data.dt is None else data.dt
         t = dt * np.arange(self.samples, dtype=float)
-        # The generator of the metric validation_error, so that a random input gives its figures too.
-        return self.excitation.sample(self.samples, dt, np.random.default_rng(0)), t
+        return validation_input(self.excitation, self.samples, dt), t
 
     def _panel(self, axes: Axes, panel: ResponsePanel, trial: OneTrial, lines: Mapping[str, Look]) -> None:
         axes.set_ylabel(self.y_label)

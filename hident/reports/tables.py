@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Annotated, Literal
 
 import numpy as np
@@ -107,7 +107,8 @@ class Grid(TableSpec):
                         row.append(f"{verdict.printed.printed} {SIGNS[verdict.word]}" if verdict else "")
                 rows.append(tuple(row))
         notes = [LEGEND, *intervals(verdicts)] if any(shown) else []
-        failed = _failures(results, self.columns)
+        shown_ones = (one for c in self.columns for one in results.select(c.estimator, c.metric))
+        failed = failures(shown_ones)
         return Table(self.title, tuple(header), tuple(rows), (*notes, *failed))
 
     def _cell(self, series: Series, statistic: Shown) -> str:
@@ -130,16 +131,18 @@ def intervals(verdicts: Sequence[Verdict]) -> list[str]:
     return [f"Interval: {text}." for text in dict.fromkeys(v.interval for v in verdicts)]
 
 
-def _failures(results: Results, columns: Sequence[Column]) -> Iterator[str]:
-    for column in {(c.estimator, c.metric): c for c in columns}.values():
-        for series in results.select(column.estimator, column.metric):
-            failed, total = series.statistics["failed"], series.statistics["trials"]
-            if failed:
-                why = f" (the first: {series.failure})" if series.failure else ""
-                yield (
-                    f"{failed:.0f} of {total:.0f} trials of {series.unit.described()} failed{why} "
-                    "and are left out of the statistics."
-                )
+def failures(series: Iterable[Series]) -> Iterator[str]:
+    """What failed and why, for the notes of a table; once for all metrics of a unit with one count."""
+    seen = set()
+    for one in series:
+        failed, total = one.statistics["failed"], one.statistics["trials"]
+        if failed and (id(one.unit), failed) not in seen:
+            seen.add((id(one.unit), failed))
+            why = f" (the first: {one.failure})" if one.failure else ""
+            yield (
+                f"{failed:.0f} of {total:.0f} trials of {one.unit.described()} failed{why} "
+                "and are left out of the statistics."
+            )
 
 
 @component("table", "rate")

@@ -467,13 +467,10 @@ class TestEveryEstimator:
         assert np.isfinite(list(found.values.values())).all()
 
     def test_a_constant_record_is_estimated_or_fails_as_a_result(self, example):
-        truth = generate(_data(example), 1, 0).truth
+        sound = generate(_data(example), 1, 0)
         for u, y in [(0.5, 0.0), (0.5, 1.0), (0.0, 0.0)]:
             try:
-                _fit(
-                    example,
-                    Record(np.full(example.samples, u), np.full(example.samples, y), example.dt, truth),
-                )
+                _fit(example, replace(sound, u=np.full(len(sound), u), y=np.full(len(sound), y)))
             except EstimationError as error:
                 assert str(error)
 

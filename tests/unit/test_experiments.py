@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 import hident.systems.nonlinearity  # noqa: F401  (for its registration)
 from hident.config.spec import Of, canonical
-from hident.engine.trial import Data, generate, generate_input
+from hident.engine.trial import Data, generate
 from hident.records import Held, Periodic
 from hident.signals import noise  # noqa: F401  (for its registration)
 from hident.signals.base import ExcitationSpec
@@ -167,7 +167,6 @@ class TestRecords:
         spec = data(experiments(*parts), 100)
         record = generate(spec, 1, 3)
         assert not np.array_equal(record.u[:50], record.u[50:])
-        np.testing.assert_array_equal(record.u, generate_input(spec, 1, 3))
         for part in record.parts.values():
             u = record.u[part.samples]
             np.testing.assert_array_equal(u, sampled(part.waveform, 50, 0.5))

@@ -77,7 +77,7 @@ def test_names_mean_what_they_say():
 
 
 def test_estimates_and_errors():
-    values = {"gain_i_1": 0.9, "gain_o_1_1": 0.5, "phase_i_1": -0.1}
+    values = {"gain_i_1": 0.9, "gain_o_1_1": 0.5, "phase_i_1": -0.1, "omega_1": 0.01}
     at = record(sine(0.01))
     names = ("series_gain_1", "phase_i_1")
     assert Response(of=names).evaluate(Estimate(values=values), at) == pytest.approx([0.45, -0.1])
@@ -89,8 +89,22 @@ def test_estimates_and_errors():
     assert ResponseError(of=names).needs_of_estimate() == {
         "value gain_i_1",
         "value gain_o_1_1",
+        "value omega_1",
         "value phase_i_1",
     }
+    turned = values | {"phase_i_1": -0.1 + 2.0 * math.pi}
+    assert ResponseError(of=names).evaluate(Estimate(values=turned), at) == pytest.approx(error)
+
+
+def test_errors_are_taken_at_the_frequencies_of_the_estimate():
+    at = record(sine(0.01), sine(0.02))
+    second = true_response("gain_i_2", TRUTH, np.array([0.01, 0.02]))
+    estimate = Estimate(values={"gain_i_1": second, "omega_1": 0.02})
+    assert ResponseError(of=("gain_i_1",)).evaluate(estimate, at) == pytest.approx([0.0], abs=1e-15)
+
+
+def test_the_parts_that_an_error_needs():
+    names = ("gain_i_1",)
     assert ResponseError(of=names).needs_of_truth() == {"blocks"}
 
 
@@ -124,6 +138,7 @@ def test_the_shape_of_the_gain_is_blind_to_a_factor_only():
     linear = {"gain_1": 7.0 * true[0], "gain_3": 7.0 * true[1]}
     assert metric.evaluate(Estimate(values=linear), at)[0] == pytest.approx(0.0, abs=1e-10)
     sines = {f"gain_i_{m}": 3.0 for m in (1, 2)} | {f"gain_o_{m}_1": true[m - 1] for m in (1, 2)}
+    sines |= {f"omega_{m}": omega for m, omega in enumerate(OMEGA, start=1)}
     assert metric.evaluate(Estimate(values=sines), at)[0] == pytest.approx(0.0, abs=1e-10)
     sines["gain_i_2"] *= 1.02
     expected = 100.0 * math.log(1.02) / math.sqrt(2.0)

@@ -156,7 +156,8 @@ class FrequencyGainIdentification(EstimatorSpec):
             names += [f"c_{j}" for j in range(self.degree + 1)]
         orders = [f"order_{rule}_{m}" for rule in ("power", "ac", "snr") for m, _ in self._numbered()]
         ranks = ("phase_unknowns", "phase_equations", "phase_rank")
-        values = (*names, *(f"se_{name}" for name in names), *orders, *ranks)
+        omega = [f"omega_{m}" for m, _ in self._numbered()]
+        values = (*names, *(f"se_{name}" for name in names), *omega, *orders, *ranks)
         return frozenset({"nonlinearity", *(f"value {name}" for name in values)})
 
     def _numbered(self) -> Iterator[tuple[int, float]]:
@@ -192,6 +193,7 @@ class FrequencyGainIdentification(EstimatorSpec):
             raise EstimationError(gains.why_lost())
         values = self._gain_values(gains) | self._order_values(found, data.m) | _rank_values(gains)
         details: dict[str, Any] = {"frequency_gains": gains, "lost": gains.why_lost()}
+        values |= {f"omega_{m}": omega for m, omega in self._numbered()}
         if self.nonlinearity is not None:
             values |= coefficient_values(gains.polynomial)
         if self.gauge is not None:
@@ -231,7 +233,15 @@ class FrequencyGainIdentification(EstimatorSpec):
         y = record.y[part.samples][skipped:]
         require_finite(y)
         require_samples(omega, dt, self.order)
-        most = max(min(self.examined, (math.floor(wave.period / dt * (1.0 + 1e-9)) - 1) // 2), self.order)
+        n = math.floor(wave.period / dt * (1.0 + 1e-9))
+        # One period alone must leave an equation for the noise.
+        single = len(y) < 2 * n
+        most = max(min(self.examined, (n - 1 - single) // 2), self.order)
+        if single and n <= 2 * most + 1:
+            raise EstimationError(
+                f"one period of {n} samples leaves no equation for the noise at order {self.order}: "
+                "measure two periods, or more samples in each"
+            )
         phase = float(np.angle(1j * wave.amplitudes[0]))
         found = harmonics(y, dt, omega, most, skipped * dt + phase / omega)
         self._require_steady(y, dt, found)

@@ -6,7 +6,7 @@ import math
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from hident.config.spec import Count, Real, Spec
 from hident.estimators.frequency.frequency_gain import FrequencyGains
@@ -15,7 +15,20 @@ from hident.estimators.frequency.rational_gauge import RationalBlock, fit_ration
 from hident.records import Array
 
 Positive = Annotated[Real, Field(gt=0)]
-Degrees = tuple[Annotated[Count, Field(ge=0)], Annotated[Count, Field(ge=1)]]
+
+
+def _proper(degrees: tuple[int, int]) -> tuple[int, int]:
+    m, n = degrees
+    if m > n:
+        raise ValueError(
+            f"must be [m, n] with m <= n, not [{m}, {n}]: a block cannot differentiate its input"
+        )
+    return degrees
+
+
+Degrees = Annotated[
+    tuple[Annotated[Count, Field(ge=0)], Annotated[Count, Field(ge=1)]], AfterValidator(_proper)
+]
 
 
 class DelayFree(Spec):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -130,7 +131,8 @@ class NonlinearityIdentification(EstimatorSpec):
         rise = rise_time(
             y[bounds[step] : bounds[step + 1]], part.dt, levels.values[step - 1], levels.values[step]
         )
-        return Staircase(x, levels, fit, rise, part.dt * float(np.min(np.diff(bounds))) / rise)
+        shortest = part.dt * float(np.min(np.diff(bounds)))
+        return Staircase(x, levels, fit, rise, shortest / rise if rise else math.inf)
 
     def _part(self, record: Record) -> Part:
         held = {name: part for name, part in record.parts.items() if isinstance(part.waveform, Held)}

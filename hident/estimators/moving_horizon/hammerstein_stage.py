@@ -168,6 +168,8 @@ def _three_segment(c: Array, lower: float, upper: float) -> StaticFunction:
 def _search(levels: Array, spec: ThreeSegment, losses: Callable[[Array], Array]) -> PartitionSearch:
     """The partition points that minimise (30), on a grid over the input's range and finer ones around.
 
+    As in the paper only the criterion counts: a pair whose iteration did not settle may win.
+
     Raises
     ------
     EstimationError

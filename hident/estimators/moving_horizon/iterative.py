@@ -55,6 +55,11 @@ class MovingHorizonSpec(EstimatorSpec):
     def check(self, n: int, dt: float | None) -> None:
         if dt is None:
             raise ValueError("a continuous-time method needs the sampling interval 'dt' of the data")
+        if self.delay >= (n - 1) * dt:
+            raise ValueError(
+                f"the delay {self.delay:g} is no shorter than the record, {(n - 1) * dt:g}: "
+                "take a shorter delay or a longer record"
+            )
         self.check_horizons(n, dt)
 
     def check_horizons(self, n: int, dt: float) -> None:

@@ -122,7 +122,10 @@ class IterativeWiener(IterativeSpec):
             raise EstimationError(str(error)) from None
         wiener = Wiener.of(record.u, record.y, dt, m=stage.m, delay=delay, horizons=horizons)
         rule = Rule(self.weight, self.tolerance, self.max_iterations)
-        return wiener, first_stage(wiener, self.nonlinearity, rule, self.start)
+        found = first_stage(wiener, self.nonlinearity, rule, self.start)
+        if found.block.b[0] == 0.0:
+            raise EstimationError("the first stage's linear block has no static gain: its b_0 is zero")
+        return wiener, found
 
     def _second(
         self, record: Record, dt: float, first: WienerStage
@@ -169,7 +172,7 @@ class IterativeWiener(IterativeSpec):
             "m": float(len(block.b) - 1),
             "delay": block.delay,
             "settling_time": first.block.settling_time(),
-            "horizon": self.first.horizon if second is None else second.horizons.eta,
+            "horizon": (wiener if second is None else second).horizons.eta,
             "iterations": float(first.iterations),
             "converged": float(first.history.converged),
         }

@@ -27,8 +27,6 @@ from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
 from hident.records import Array, Characteristic
 from hident.systems.continuous import ContinuousTransferFunction
 
-_NEAR_THE_BEST = 1.25
-
 Overlap = Annotated[Real, Field(gt=0, le=1)]
 Order = Annotated[Count, Field(ge=1, le=8)]
 
@@ -110,12 +108,13 @@ class Measured:
     def error_of(self, block: ContinuousTransferFunction, held_input: Array, dt: float) -> float:
         """Root mean square of the simulated output's error over the output's standard deviation.
 
-        Infinite for an unstable block.
+        Infinite for an unstable block, and where it is not a number.
         """
         if not block.is_stable():
             return math.inf
         residual = self.y - self.after(block.respond(held_input, dt))
-        return float(np.sqrt(np.mean(residual**2)) / np.std(self.y))
+        error = float(np.sqrt(np.mean(residual**2)) / np.std(self.y))
+        return error if math.isfinite(error) else math.inf
 
 
 def search_structure(
@@ -130,13 +129,14 @@ def search_structure(
     start: float = 0.0,
     gain: float | None = None,
     measured: Measured | None = None,
+    nearly_best: float = 1.25,
 ) -> tuple[LinearFit, StructureSearch]:
     """The block of the simplest structure (n, m, d) that is nearly the best.
 
     Among the stable candidates with n up to ``largest_n``, m < n and the given ``delays``, those whose
-    simulated output error is within 1.25 of the least are nearly the best; of these the one with the fewest
-    parameters n + m is chosen, and the most accurate among equals. The simulated output, unlike the
-    residual of the regression, compares structures on one scale whatever the order of the weight; with
+    simulated output error is within ``nearly_best`` of the least are nearly the best; of these the one with
+    the fewest parameters n + m is chosen, and the most accurate among equals. The simulated output, unlike
+    the residual of the regression, compares structures on one scale whatever the order of the weight; with
     white measurement noise its error is that noise's for every structure that holds the true one, so that
     the quotient of two such is near one, and well above it where a mode is missing. For that the noise must
     be that of a measurement: behind a Wiener system's block it is the ``measured`` output, not ``output``,
@@ -150,7 +150,7 @@ def search_structure(
     measured = measured or Measured.directly(output)
     fits: list[LinearFit | None] = []
     candidates = [(n, m, d) for d in delays for n in range(1, largest_n + 1) for m in range(n)]
-    errors = []
+    errors, refused = [], ""
     for n, m, delay in candidates:
         try:
             fit = linear_block(
@@ -165,7 +165,8 @@ def search_structure(
                 start=start,
                 gain=gain,
             )
-        except EstimationError:
+        except EstimationError as error_of_one:
+            refused = f" (the last: {error_of_one})"
             fits.append(None)
             errors.append(math.inf)
         else:
@@ -173,8 +174,8 @@ def search_structure(
             errors.append(measured.error_of(fit.block, held_input, dt))
     error = np.array(errors)
     if not np.any(np.isfinite(error)):
-        raise EstimationError(f"no structure up to n = {largest_n} gives a stable linear block")
-    near = error <= _NEAR_THE_BEST * error.min()
+        raise EstimationError(f"no structure up to n = {largest_n} gives a stable linear block{refused}")
+    near = error <= nearly_best * error.min()
     chosen = min(np.flatnonzero(near), key=lambda i: (sum(candidates[i][:2]), error[i]))
     best = fits[chosen]
     assert best is not None
@@ -223,6 +224,8 @@ class SecondStageSpec(Spec):
     """Largest order n that is tried (search)."""
     delays: tuple[Annotated[Real, Field(ge=0)], ...] = ()
     """Delays that are tried (search); the estimator's own by default."""
+    nearly_best: Annotated[Real, Field(ge=1)] = 1.25
+    """The simplest structure whose output error is within this factor of the least is chosen (search)."""
     horizon: Annotated[Real, Field(gt=0)] | None = None
     """Length eta of the horizons; by the settling time of the first stage's block by default."""
     overlap: Overlap = 0.1
@@ -231,7 +234,7 @@ class SecondStageSpec(Spec):
     @model_validator(mode="after")
     def _keys_fit(self) -> Self:
         given = {"n", "m"} & self.model_fields_set
-        searched = {"largest_n", "delays"} & self.model_fields_set
+        searched = {"largest_n", "delays", "nearly_best"} & self.model_fields_set
         if self.structure == "search" and given:
             raise ValueError(f"a search finds n and m: leave out {', '.join(sorted(given))}")
         if self.structure == "given":
@@ -281,6 +284,7 @@ class SecondStageSpec(Spec):
                 start=start,
                 gain=gain,
                 measured=measured,
+                nearly_best=self.nearly_best,
             )
         fit = linear_block(
             output,

@@ -33,9 +33,6 @@ from hident.records import Array, Characteristic
 from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.nonlinearity import Polynomial
 
-# Points of either sign on the search's grid, and on the finer one if no pair on the first will do.
-_GRIDS = (8, 16)
-_REFINEMENTS = 2
 # Iterations after which the search gives up a pair whose model stays inadmissible.
 _PATIENCE = 10
 # Samples of internal variables that the search holds at once.
@@ -51,6 +48,10 @@ class FourSegmentSpec(Spec):
     """The kind."""
     partition: Partition = "search"
     """Partition points [y_-1, y_1], or search for those that minimise (31)."""
+    points: Annotated[Count, Field(ge=2)] = 8
+    """Partition points of either sign that the search tries; twice as many if no pair of them will do."""
+    refinements: Annotated[Count, Field(ge=0)] = 2
+    """Refinements of the search around the best pair."""
 
     def coefficients(self) -> list[str]:
         """The names of the nonlinearity's estimated coefficients."""
@@ -117,7 +118,7 @@ def first_stage(wiener: Wiener, spec: NonlinearitySpec, rule: Rule, start: float
         return _polynomial_stage(wiener, spec, rule)
     if spec.partition != "search":
         return _four_segment_stage(wiener, spec, rule, spec.partition)
-    search = search_partition(wiener, rule, start)
+    search = search_partition(wiener, rule, start, spec.points, spec.refinements)
     return replace(_four_segment_stage(wiener, spec, rule, search.best), partition=search)
 
 
@@ -210,13 +211,15 @@ def _trouble(wiener: Wiener, found: Iterates) -> str:
     return "ended in " + ("slopes e_i that are not all positive" if stable else "an unstable linear block")
 
 
-def search_partition(wiener: Wiener, rule: Rule, start: float) -> PartitionSearch:
-    """The partition points that minimise the output error (31), on a grid that is refined twice.
+def search_partition(
+    wiener: Wiener, rule: Rule, start: float, points: int = 8, refinements: int = 2
+) -> PartitionSearch:
+    """The partition points that minimise the output error (31), on a grid that is refined.
 
-    The grid lies at Chebyshev points of the output's range on either side of zero, dense towards zero and
-    the ends. A refinement tries the neighbours of the best pair at half the distance. Pairs that end in an
-    unstable block or a slope e_i that is not positive are rejected. If all are, the search starts again on a
-    finer grid, its iterations from the linear model's output in place of y.
+    The grid, of ``points`` of either sign, lies at Chebyshev points of the output's range on either side of
+    zero, dense towards zero and the ends. A refinement tries the neighbours of the best pair at half the
+    distance. Pairs that end in an unstable block or a slope e_i that is not positive are rejected. If all
+    are, the search starts again on a grid twice as fine, its iterations from the linear model's output.
 
     Raises
     ------
@@ -226,7 +229,7 @@ def search_partition(wiener: Wiener, rule: Rule, start: float) -> PartitionSearc
     ends = np.array([wiener.y.min(), wiener.y.max()])
     require_inside("search", wiener.y, "output")
     rule = replace(rule, patience=_PATIENCE)
-    for count, x in zip(_GRIDS, (wiener.y, wiener.linear_output()), strict=True):
+    for count, x in ((points, wiener.y), (2 * points, wiener.linear_output())):
         step = 0.5 * np.pi / (count + 1)
         grid = step * np.arange(1, count + 1)
         angles = _pairs(grid[::-1], grid)
@@ -236,7 +239,7 @@ def search_partition(wiener: Wiener, rule: Rule, start: float) -> PartitionSearc
     else:
         raise EstimationError("no pair of partition points gives a stable linear block and rising segments")
     loss = first
-    for _ in range(_REFINEMENTS):
+    for _ in range(refinements):
         step /= 2.0
         best = np.nanargmin(loss)
         near = _pairs(*(angles[:, best, None] + step * np.arange(-1.0, 2.0)))
