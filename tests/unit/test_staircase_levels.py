@@ -190,6 +190,17 @@ def test_an_output_that_has_not_settled():
     assert found.values["drift"] > 5.0
 
 
+def test_levels_too_short_to_tell_a_drift_from_noise():
+    clean = settling(np.array([1.0, 3.0, 4.0, 9.0]), 10, 8.0)
+    y = clean + np.random.default_rng(6).normal(scale=0.8, size=len(clean))
+    message = (
+        r"^the shortest level is held 10, [12]\.\d rise times of \d\.\d+: too short to settle; hold each at"
+    )
+    with pytest.raises(EstimationError, match=message):
+        estimator(degree=1).fit(staircase(y, LEVELS), RNG)
+    assert estimator(degree=1, least_hold=0).fit(staircase(y, LEVELS), RNG).values["hold"] < 3.0
+
+
 def test_no_static_gain():
     y = np.random.default_rng(5).normal(size=400)
     message = "the output settles at the same value at all levels: the static gain of a block is zero"

@@ -57,7 +57,9 @@ class NonlinearityIdentification(EstimatorSpec):
     discard: Annotated[Real, Field(ge=0, lt=1)] = 0.5
     """Part of each level left out as transient, 0 to below 1; 0 averages the whole level, as printed."""
     require_steady: Flag = True
-    """Fail if the output still drifts in the second half of a level."""
+    """Fail if the output still drifts in the second half of a level, or if that cannot be told."""
+    least_hold: Annotated[Real, Field(ge=0)] = 3.0
+    """Rise times that each level must be held, so that a drift hidden by noise cannot be large."""
     threshold: Annotated[Real, Field(gt=0)] = 5.0
     """Standard errors beyond which a drift, or a change of the output, is not noise."""
     tolerance: Annotated[Real, Field(ge=0)] = 1e-3
@@ -132,7 +134,13 @@ class NonlinearityIdentification(EstimatorSpec):
             y[bounds[step] : bounds[step + 1]], part.dt, levels.values[step - 1], levels.values[step]
         )
         shortest = part.dt * float(np.min(np.diff(bounds)))
-        return Staircase(x, levels, fit, rise, shortest / rise if rise else math.inf)
+        hold = shortest / rise if rise else math.inf
+        if self.require_steady and hold < self.least_hold:
+            raise EstimationError(
+                f"the shortest level is held {shortest:.3g}, {hold:.2g} rise times of {rise:.3g}: too short "
+                f"to settle; hold each at least {self.least_hold * rise:.3g}"
+            )
+        return Staircase(x, levels, fit, rise, hold)
 
     def _part(self, record: Record) -> Part:
         held = {name: part for name, part in record.parts.items() if isinstance(part.waveform, Held)}

@@ -212,7 +212,7 @@ class StageSpec(Spec):
 
 
 class SecondStageSpec(Spec):
-    """The structure and the horizons of the second stage."""
+    """The structure of a linear block and the horizons that it is found with."""
 
     structure: Literal["given", "search"] = "given"
     """Whether n and m are given, or searched for among all up to largest_n."""
@@ -227,7 +227,7 @@ class SecondStageSpec(Spec):
     nearly_best: Annotated[Real, Field(ge=1)] = 1.25
     """The simplest structure whose output error is within this factor of the least is chosen (search)."""
     horizon: Annotated[Real, Field(gt=0)] | None = None
-    """Length eta of the horizons; by the settling time of the first stage's block by default."""
+    """Length eta of the horizons; a second stage takes it from the first's settling time by default."""
     overlap: Overlap = 0.1
     """lambda: the horizons start lambda eta apart."""
 
