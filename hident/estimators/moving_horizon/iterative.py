@@ -12,7 +12,8 @@ from hident.config.spec import Count, Flag, Real
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, require_finite
 from hident.estimators.moving_horizon.horizon_least_squares import scaled_condition, variance_inflation
-from hident.estimators.moving_horizon.linear_transform import SecondStageSpec, StageSpec
+from hident.estimators.moving_horizon.linear_transform import LinearFit, SecondStageSpec, StageSpec
+from hident.estimators.moving_horizon.time_weighted import Horizons
 from hident.records import Array, Record
 from hident.systems.continuous import ContinuousTransferFunction
 
@@ -133,6 +134,26 @@ class IterativeSpec(MovingHorizonSpec):
         letters = [f"a_{i}" for i in range(1, self.largest_n + 1)] + [f"b_{i}" for i in range(self.largest_n)]
         names = [*letters, "vif_mean", "vif_max", "condition"]
         return [*names, *(f"first_{name}" for name in names), "n", "m", "delay", "settling_time", "horizon"]
+
+    def stage_values(
+        self, first: ContinuousTransferFunction, phi: Array, horizons: Horizons, second: LinearFit | None
+    ) -> dict[str, float]:
+        """The values of :meth:`stage_names`, from the first stage's block, regressors and horizons."""
+        block, last_phi = first, phi
+        if second is not None:
+            block, last_phi, horizons = second.block, second.phi, second.horizons
+        n, m, delay = structure_of(block)
+        return {
+            **padded(block, self.largest_n),
+            **padded(first, self.largest_n, "first_"),
+            **multicollinearity(last_phi),
+            **multicollinearity(phi, "first_"),
+            "n": float(n),
+            "m": float(m),
+            "delay": delay,
+            "settling_time": first.settling_time(),
+            "horizon": horizons.eta,
+        }
 
 
 def structure_of(block: ContinuousTransferFunction) -> tuple[int, int, float]:

@@ -5,7 +5,7 @@ Chen, Hwang and Chang 2009. Stage 1 finds the static function, stage 2 the linea
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import Discriminator, Field
@@ -21,15 +21,13 @@ from hident.estimators.moving_horizon.hammerstein_stage import (
 from hident.estimators.moving_horizon.iterative import (
     ROUNDS,
     IterativeSpec,
-    multicollinearity,
-    padded,
     second_horizon,
     structure_of,
 )
 from hident.estimators.moving_horizon.linear_transform import LinearFit, StageSpec
 from hident.estimators.moving_horizon.partition import require_inside
 from hident.estimators.moving_horizon.sandwich import influence, standard_errors
-from hident.estimators.moving_horizon.searches import StructureSearch
+from hident.estimators.moving_horizon.searches import StructureSearch, found_searches
 from hident.estimators.moving_horizon.static_functions import ThreeSegmentFunction
 from hident.records import Estimate, Record
 
@@ -130,36 +128,21 @@ class IterativeHammerstein(IterativeSpec):
     ) -> Estimate:
         block = first.block if second is None else second.block
         function = first.function
-        last = first if second is None else second
-        settling, eta = first.block.settling_time(), last.horizons.eta
         values = {
-            **padded(block, self.largest_n),
-            **padded(first.block, self.largest_n, "first_"),
-            **multicollinearity(last.phi),
-            **multicollinearity(first.phi, "first_"),
+            **self.stage_values(first.block, first.phi, first.horizons, second),
             **self._errors(record, dt, first, second),
             **{f"c_{j}": c for j, c in enumerate(function.c, start=1)},
-            "n": float(len(block.a)),
-            "m": float(len(block.b) - 1),
-            "delay": block.delay,
-            "settling_time": settling,
-            "horizon": eta,
             "iterations": float(first.iteration.iterations[0]),
             "converged": float(first.iteration.converged[0]),
         }
         if isinstance(function, ThreeSegmentFunction):
             values |= {"u_-1": function.lower, "u_1": function.upper}
-        details: dict[str, Any] = {"history": first.history()}
-        if first.partition is not None:
-            details["partition"] = first.partition
-        if search is not None:
-            details["structure"] = search
         return Estimate(
             nonlinearity=function,
             continuous=block,
             response=lambda u, dt: block.respond(function(u), dt),
             values=values,
-            details=details,
+            details={"history": first.history(), **found_searches(first.partition, search)},
         )
 
     def _errors(

@@ -6,7 +6,7 @@ Chen, Hwang and Chang 2009. Stage 1 finds the nonlinearity, stage 2 the linear b
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import Discriminator, Field
@@ -16,14 +16,12 @@ from hident.errors import EstimationError
 from hident.estimators.moving_horizon.iterative import (
     ROUNDS,
     IterativeSpec,
-    multicollinearity,
-    padded,
     second_horizon,
     structure_of,
 )
 from hident.estimators.moving_horizon.linear_transform import LinearFit, Measured, StageSpec
 from hident.estimators.moving_horizon.partition import require_inside
-from hident.estimators.moving_horizon.searches import StructureSearch
+from hident.estimators.moving_horizon.searches import StructureSearch, found_searches
 from hident.estimators.moving_horizon.wiener_errors import wiener_errors
 from hident.estimators.moving_horizon.wiener_iteration import Rule, Wiener
 from hident.estimators.moving_horizon.wiener_stage import (
@@ -162,29 +160,18 @@ class IterativeWiener(IterativeSpec):
         clusters = smoothed(v, record.y, self.smooth or _CLUSTERS)
         nonlinearity = first.nonlinearity if self.smooth is None else _through(clusters)
         values = {
-            **padded(block, self.largest_n),
-            **padded(first.block, self.largest_n, "first_"),
-            **multicollinearity(first.phi if second is None else second.phi),
-            **multicollinearity(first.phi, "first_"),
+            **self.stage_values(first.block, first.phi, wiener.horizons, second),
             **first.values,
             **self._errors(wiener, first, second),
-            "n": float(len(block.a)),
-            "m": float(len(block.b) - 1),
-            "delay": block.delay,
-            "settling_time": first.block.settling_time(),
-            "horizon": (wiener if second is None else second).horizons.eta,
             "iterations": float(first.iterations),
             "converged": float(first.history.converged),
         }
-        details: dict[str, Any] = {
+        details = {
             "history": first.history,
             "internal_variable": np.array([v, record.y]),
             "smoothed": clusters,
+            **found_searches(first.partition, search),
         }
-        if first.partition is not None:
-            details["partition"] = first.partition
-        if search is not None:
-            details["structure"] = search
         return Estimate(
             nonlinearity=nonlinearity,
             continuous=unit,

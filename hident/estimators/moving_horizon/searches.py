@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,3 +48,9 @@ class StructureSearch:
     delay: Array
     error: Array
     chosen: int
+
+
+def found_searches(partition: PartitionSearch | None, structure: StructureSearch | None) -> dict[str, Any]:
+    """The searches that were made, by their names in ``details``."""
+    searches = {"partition": partition, "structure": structure}
+    return {name: search for name, search in searches.items() if search is not None}
