@@ -22,6 +22,7 @@ LAYERS = (
     ("signals",),
     ("systems",),
     ("records", "plugins"),
+    ("numerics",),
     ("config",),
     ("errors", "__init__"),
 )
@@ -75,7 +76,7 @@ def test_the_exceptions_are_in_use():
     assert all(imported in imports(ROOT / f"{module}.py") for module, imported in EXCEPTIONS)
 
 
-@pytest.mark.parametrize("room", ["estimators", "metrics", "signals", "systems"])
+@pytest.mark.parametrize("room", ["estimators", "metrics", "signals", "systems", "numerics"])
 def test_numerical_rooms_do_not_write_or_print(room):
     for path in (ROOT / room).glob("*.py"):
         called = {

@@ -1,0 +1,1 @@
+"""What several families of methods share: numerical decisions and small algorithms on arrays."""

@@ -1,0 +1,33 @@
+"""Choices that another last bit does not turn."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hident.numerics.choices import first_least
+
+
+def test_the_first_of_values_that_are_equal_up_to_rounding_is_chosen():
+    values = np.array([0.5, 0.021709218322063586, 0.021709218322063614])
+    assert first_least(values) == 1
+    assert first_least(np.nextafter(values, [1.0, 1.0, 0.0])) == 1
+
+
+def test_a_value_that_is_really_smaller_is_chosen():
+    assert first_least([1.0, 1.0 - 1e-6]) == 1
+
+
+def test_what_is_not_finite_is_never_chosen():
+    assert first_least([math.nan, math.inf, -math.inf, 2.0]) == 3
+    with pytest.raises(ValueError, match="no candidate"):
+        first_least([math.nan, math.inf])
+
+
+def test_differences_below_the_rounding_of_the_terms_do_not_count():
+    assert first_least([3e-16, 1e-16], scale=10.0) == 0
+    assert first_least([3e-16, 1e-16]) == 1
+
+
+def test_a_grid_is_searched_in_its_written_order():
+    assert first_least([[2.0, 1.0], [1.0, 3.0]]) == 1
