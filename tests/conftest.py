@@ -19,6 +19,9 @@ from typing import Any
 import pytest
 import yaml
 
+# It decides which kernels numpy and BLAS use, so it comes before them.
+import hident  # noqa: F401
+
 TINY: dict[str, Any] = {
     "version": 1,
     "title": "Tiny",

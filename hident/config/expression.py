@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.config import scalars
 from hident.config.suggest import did_you_mean, one_of
 
 CONSTANTS: dict[str, float] = {"pi": math.pi, "e": math.e}
@@ -53,6 +54,22 @@ _COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.GtE: np.greater_equal,
     ast.Eq: np.equal,
     ast.NotEq: np.not_equal,
+}
+# What is not rounded correctly by every processor and library, as IEEE 754 has it for the others.
+_INEXACT: dict[Callable[..., Any], Callable[..., float]] = {
+    np.power: scalars.power,
+    np.exp: scalars.exp,
+    np.log: scalars.log,
+    np.log10: scalars.log10,
+    np.sin: scalars.sin,
+    np.cos: scalars.cos,
+    np.tan: scalars.tan,
+    np.arcsin: scalars.arcsin,
+    np.arccos: scalars.arccos,
+    np.arctan: scalars.arctan,
+    np.sinh: scalars.sinh,
+    np.cosh: scalars.cosh,
+    np.tanh: scalars.tanh,
 }
 _LONGEST = 1000
 _DEEPEST = 100
@@ -100,7 +117,10 @@ class Formula:
         object.__setattr__(self, "_tree", tree)
 
     def __call__(self, **values: NDArray[np.float64] | float) -> Any:
-        """Evaluate on scalars or arrays of one shape; invalid operations give nan or inf."""
+        """Evaluate on scalars or arrays of one shape; invalid operations give nan or inf.
+
+        What is computed of Python's floats alone has the same bits on every machine.
+        """
         with np.errstate(all="ignore"):
             return _evaluate(self._tree, values)
 
@@ -176,12 +196,26 @@ def _evaluate(node: ast.expr, values: dict[str, Any]) -> Any:
             return values[name] if name in values else CONSTANTS[name]
         case ast.UnaryOp(op=operator, operand=operand):
             value = _evaluate(operand, values)
-            return np.negative(value) if isinstance(operator, ast.USub) else value
+            return _applied(np.negative, value) if isinstance(operator, ast.USub) else value
         case ast.BinOp(left=left, op=operation, right=right):
-            return _BINARY[type(operation)](_evaluate(left, values), _evaluate(right, values))
+            return _applied(_BINARY[type(operation)], _evaluate(left, values), _evaluate(right, values))
         case ast.Compare(left=left, ops=[comparison], comparators=[right]):
             # As numbers, since numpy's booleans do not add up.
-            return 1.0 * _COMPARE[type(comparison)](_evaluate(left, values), _evaluate(right, values))
+            return 1.0 * _applied(
+                _COMPARE[type(comparison)], _evaluate(left, values), _evaluate(right, values)
+            )
         case ast.Call(func=ast.Name(id=name), args=arguments):
-            return FUNCTIONS[name][0](*(_evaluate(argument, values) for argument in arguments))
+            return _applied(FUNCTIONS[name][0], *(_evaluate(argument, values) for argument in arguments))
     raise AssertionError(f"unchecked node {node!r}")
+
+
+def _applied(function: Callable[..., Any], *arguments: Any) -> Any:
+    """numpy's function, except for what it does not round correctly of Python's floats alone."""
+    value = function(*arguments)
+    if any(type(argument) is not float for argument in arguments):
+        return value
+    exact = _INEXACT.get(function)
+    # At zero, and where a value is not finite, numpy's is the right one everywhere.
+    if exact is None or not all(math.isfinite(number) and number for number in (*arguments, value)):
+        return float(value)
+    return exact(*arguments)

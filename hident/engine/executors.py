@@ -67,6 +67,8 @@ class PoolExecutor(ProcessPoolExecutor):
 
 def make_executor(workers: int, plugin_files: Iterable[Path] = ()) -> Executor:
     """A serial executor for one worker, else a pool of processes."""
+    # This process fits a trial again for its figure.
+    pin_blas()
     return SerialExecutor() if workers == 1 else PoolExecutor(workers, tuple(plugin_files))
 
 

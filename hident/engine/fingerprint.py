@@ -11,6 +11,7 @@ from importlib.util import resolve_name
 from pathlib import Path
 from typing import Any
 
+from hident import arithmetic
 from hident.config.spec import Spec
 from hident.engine.trial import digest
 
@@ -25,8 +26,8 @@ _WORDS = {"hident", "hident.config.spec", "hident.config.load", "hident.config.s
 
 @cache
 def libraries() -> dict[str, str]:
-    """The versions of the libraries whose arithmetic the results depend on."""
-    return {name: version(name) for name in _LIBRARIES}
+    """The versions of the libraries that the results depend on, and the arithmetic that they use here."""
+    return {name: version(name) for name in _LIBRARIES} | {"arithmetic": arithmetic.identity()}
 
 
 def fingerprint(specs: Iterable[Spec]) -> str:

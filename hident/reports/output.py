@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import hident
+from hident import arithmetic
 from hident.config.load import Problem
 from hident.config.spec import canonical
 from hident.engine.experiment import Plan
-from hident.engine.fingerprint import code, libraries
+from hident.engine.fingerprint import code
 from hident.engine.results import Results
 from hident.engine.runner import unit_key
 from hident.engine.trial import digest
@@ -240,11 +241,11 @@ def _run_json(results: Results, folder: Path, files: Sequence[str], run: Mapping
         "provenance": {
             "hident": hident.__version__,
             "python": platform.python_version(),
-            "libraries": {name: version(name) for name in _PACKAGES} | libraries(),
+            "libraries": {name: version(name) for name in _PACKAGES},
             **_git(plan.root),
             "platform": platform.platform(),
             "cpu": _cpu(),
-            "blas": _blas(),
+            "arithmetic": arithmetic.in_use(),
             "finished": datetime.now(UTC).isoformat(timespec="seconds"),
             **run,
             "key": output_key(plan, results.seed, results.trials),
@@ -295,10 +296,3 @@ def _cpu() -> str:
         except OSError:
             pass
     return platform.processor() or platform.machine()
-
-
-def _blas() -> list[str]:
-    from threadpoolctl import threadpool_info
-
-    found = [info for info in threadpool_info() if info["user_api"] == "blas"]
-    return sorted({f"{info['internal_api']} {info['version']}" for info in found})

@@ -162,7 +162,15 @@ def test_what_a_run_writes(done: Lab) -> None:
     assert len(experiment["hash"]) == 32
     assert run["files"] == ["table.csv", "table.md", "verdicts.csv"]
     assert provenance["libraries"]["numpy"] == np.__version__
-    assert {"hident", "python", "git_commit", "git_dirty", "cpu", "blas", "platform"} <= provenance.keys()
+    assert {
+        "hident",
+        "python",
+        "git_commit",
+        "git_dirty",
+        "cpu",
+        "arithmetic",
+        "platform",
+    } <= provenance.keys()
     assert provenance["workers"] == 1
     assert 0 < provenance["wall_seconds"] < 60
     # Outside of a repository there is no commit to name.

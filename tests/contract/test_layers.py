@@ -24,7 +24,9 @@ LAYERS = (
     ("records", "plugins"),
     ("numerics",),
     ("config",),
-    ("errors", "__init__"),
+    ("__init__",),
+    ("arithmetic",),
+    ("errors",),
 )
 # Records and estimates hold a linear block, and name its type for type checkers only.
 EXCEPTIONS = {("records", "systems.linear"), ("records", "systems.continuous")}

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from hident import plugins
+from hident.arithmetic import identity
 from hident.config.spec import Component, Of
 from hident.engine import fingerprint as module
 from hident.engine.fingerprint import code, fingerprint, libraries
@@ -129,7 +130,8 @@ def test_libraries_are_those_of_the_arithmetic() -> None:
     import numpy as np
 
     assert libraries()["numpy"] == np.__version__
-    assert set(libraries()) == {"numpy", "scipy", "finufft"}
+    assert set(libraries()) == {"numpy", "scipy", "finufft", "arithmetic"}
+    assert libraries()["arithmetic"] == identity()
 
 
 def test_modules_beside_a_plugin_count_and_libraries_below_it_do_not(
