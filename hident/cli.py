@@ -78,6 +78,8 @@ class Listed(StrEnum):
 
 def main() -> None:
     """Entry point of the console script."""
+    # This program opens no window; a notebook's backend, which may not be installed here, ends the import.
+    os.environ["MPLBACKEND"] = "agg"
     try:
         app()
     except HidentError as error:

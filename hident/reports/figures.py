@@ -16,7 +16,7 @@ from hident.ledger.verdicts import Verdict
 from hident.records import Array
 from hident.reports.base import FigureSpec, Misfit, Reference, label_references, not_numeric, unscored
 from hident.reports.one_trial import OneTrial, OneTrialFigure, Realised, say_failed, true_curve
-from hident.reports.style import DATA, ESTIMATE, LINES, TRUTH, legend_above
+from hident.reports.style import DATA, ESTIMATE, LINES, TRUTH, legend_above, subplots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -80,12 +80,10 @@ class Curve(FigureSpec):
         return self.panels or (tuple(plan.experiment.estimators),)
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        import matplotlib.pyplot as plt
-
         panels = self._panels(results.plan)
         columns = min(2, len(panels))
         rows = -(-len(panels) // columns)
-        figure, grid = plt.subplots(
+        figure, grid = subplots(
             rows,
             columns,
             squeeze=False,
@@ -213,10 +211,8 @@ class Realisation(OneTrialFigure):
             yield "kind", "the system has no true nonlinearity to show"
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        import matplotlib.pyplot as plt
-
         rows, columns = len(self.at), len(self.estimators)
-        figure, grid = plt.subplots(
+        figure, grid = subplots(
             rows,
             columns,
             squeeze=False,

@@ -18,7 +18,7 @@ from hident.metrics import frequency
 from hident.records import Array, Record
 from hident.reports.base import FigureSpec, Misfit, Reference, Table, TableSpec, label_references, unscored
 from hident.reports.one_trial import OneTrial, OneTrialFigure, Shown, list_failures
-from hident.reports.style import DATA, LINES, TRUTH, legend_above, panel_grid
+from hident.reports.style import DATA, LINES, TRUTH, legend_above, panel_grid, subplots
 from hident.reports.tables import LEGEND, SIGNS, intervals
 from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.continuous_wiener_hammerstein import respond
@@ -128,13 +128,11 @@ class Signals(OneTrialFigure):
             yield "experiment", f"there is no experiment '{self.experiment}' (there are: {known})"
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        import matplotlib.pyplot as plt
-
         data = self.curve.unit(results.plan).data
         record = generate(data, results.seed, self.trial)
         part = record.parts[self.experiment]
         t = np.arange(len(part)) * part.dt
-        figure, (above, below) = plt.subplots(2, 1, sharex=True, figsize=(5.2, 3.6), height_ratios=(1, 2))
+        figure, (above, below) = subplots(2, 1, sharex=True, figsize=(5.2, 3.6), height_ratios=(1, 2))
         above.plot(t, record.u[part.samples], **{**LINES[0], "marker": ""})
         above.set_ylabel(self.u_label)
         below.plot(t, record.y[part.samples], label="measured", rasterized=True, **{**DATA, "markersize": 1})
@@ -176,10 +174,8 @@ class LevelMeans(OneTrialFigure):
                 yield ("curves", i, "estimator"), said
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        import matplotlib.pyplot as plt
-
         trial = OneTrial(results, self.trial)
-        figure, (above, below) = plt.subplots(2, 1, sharex=True, figsize=(4.8, 4.4), height_ratios=(2, 1))
+        figure, (above, below) = subplots(2, 1, sharex=True, figsize=(4.8, 4.4), height_ratios=(2, 1))
         failures = []
         for curve, line in zip(self.curves, LINES, strict=False):
             realised = trial.of(curve.estimator, curve.at)

@@ -209,8 +209,6 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
     for name, spec in results.plan.experiment.figures.items():
         assert isinstance(spec, FigureSpec)
         with style():
-            import matplotlib.pyplot as plt
-
             try:
                 figure = spec.draw(results, verdicts)
                 # Without the writer's version in it, the file depends on what it shows alone.
@@ -220,8 +218,6 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
                 raise ConfigError(
                     f"{results.plan.path}: figures.{name}: cannot be drawn ({reason}). All trials are kept"
                 ) from None
-            finally:
-                plt.close("all")
         names.append(f"{name}.png")
     return names
 

@@ -23,7 +23,7 @@ from hident.reports.base import (
     not_numeric,
     unscored,
 )
-from hident.reports.style import LINES, TRUTH, symbol
+from hident.reports.style import LINES, TRUTH, subplots, symbol
 from hident.reports.tables import LEGEND, SIGNS, intervals
 
 if TYPE_CHECKING:
@@ -165,12 +165,10 @@ class ParameterFigure(FigureSpec):
                 yield from unscored(plan, ("estimators", i), estimator, f"{self.metric} {name}")
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        import matplotlib.pyplot as plt
-
         beside = {(id(v.series), v.cell.statistic): v.printed.value for v in verdicts}
         columns = min(4, len(self.of))
         rows = -(-len(self.of) // columns)
-        figure, grid = plt.subplots(rows, columns, squeeze=False, figsize=(2.3 * columns, 2.2 * rows + 0.5))
+        figure, grid = subplots(rows, columns, squeeze=False, figsize=(2.3 * columns, 2.2 * rows + 0.5))
         for axes in grid.flat[len(self.of) :]:
             axes.set_visible(False)
         for name, axes in zip(self.of, grid.flat, strict=False):
@@ -225,9 +223,7 @@ class Gain(FigureSpec):
             yield from unscored(plan, "estimator", self.estimator, f"{self.metric} {name}")
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        import matplotlib.pyplot as plt
-
-        figure, axes = plt.subplots(figsize=(4.6, 3.0))
+        figure, axes = subplots(figsize=(4.6, 3.0))
         printed = {id(v.series): v.printed.value for v in verdicts if v.cell.statistic == "std"}
         pairs = [
             tuple(_one(results, name, f"{self.metric} {value}") for name in (self.reference, self.estimator))
@@ -285,13 +281,11 @@ class EfficiencyFigure(FigureSpec):
             yield "of", f"the table '{self.table}' does not hold {', '.join(unknown)}"
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        import matplotlib.pyplot as plt
-
         source = results.plan.experiment.tables[self.table]
         assert isinstance(source, Efficiency)
         columns = min(4, len(self.of))
         rows = -(-len(self.of) // columns)
-        figure, grid = plt.subplots(
+        figure, grid = subplots(
             rows, columns, squeeze=False, sharex=True, sharey=True, figsize=(2.3 * columns, 2.3 * rows + 0.5)
         )
         for axes in grid.flat[len(self.of) :]:

@@ -27,7 +27,7 @@ from hident.reports.one_trial import (
     offset_of,
     say_failed,
 )
-from hident.reports.style import TRUTH, Look, legend_above, looks, marked, panel_grid
+from hident.reports.style import TRUTH, Look, legend_above, looks, marked, panel_grid, subplots
 from hident.signals.base import ExcitationSpec
 
 if TYPE_CHECKING:
@@ -90,12 +90,10 @@ class Validation(OneTrialFigure):
             yield "excitation", str(error)
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        import matplotlib.pyplot as plt
-
         trial = OneTrial(results, self.trial)
         lines = looks(curve.text for panel in self.panels for curve in panel.curves)
         count = len(self.panels)
-        figure, grid = plt.subplots(
+        figure, grid = subplots(
             count + 1,
             squeeze=False,
             sharex=True,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -50,12 +51,29 @@ _SETTINGS: dict[str, Any] = {
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Apply the look inside the block, with a backend that needs no screen."""
+    """Apply the look inside the block, whatever settings of matplotlib the user has."""
     import matplotlib as mpl
 
-    mpl.use("agg")
-    with mpl.rc_context(_SETTINGS):  # type: ignore[arg-type]
-        yield
+    # Nothing here needs a backend, but the figure of a plugin may come from pyplot.
+    shipped = {name: mpl.rcParamsDefault[name] for name in mpl.rcParamsDefault if name != "backend"}
+    with mpl.rc_context({**shipped, **_SETTINGS, "backend": "agg"}):  # type: ignore[arg-type]
+        try:
+            yield
+        finally:
+            if "matplotlib.pyplot" in sys.modules:
+                sys.modules["matplotlib.pyplot"].close("all")
+
+
+def subplots(
+    rows: int = 1, columns: int = 1, *, figsize: tuple[float, float], **options: Any
+) -> tuple[Figure, Any]:
+    """A figure of a size in inches and its axes, as pyplot's function has them but without its backends."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=figsize)
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(rows, columns, **options)
 
 
 def symbol(name: str) -> str:
@@ -77,12 +95,10 @@ def marked(look: Look, place: int, points: int) -> Look:
 
 def panel_grid(count: int, columns: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
     """A figure of so many panels of a size in inches, row by row."""
-    import matplotlib.pyplot as plt
-
     columns = min(columns, count)
     rows = -(-count // columns)
     size = (width * columns + 0.4, height * rows + 0.5)
-    figure, grid = plt.subplots(rows, columns, squeeze=False, figsize=size)
+    figure, grid = subplots(rows, columns, squeeze=False, figsize=size)
     for axes in grid.flat[count:]:
         axes.set_visible(False)
     return figure, list(grid.flat[:count])
