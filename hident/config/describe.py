@@ -29,9 +29,7 @@ def fields(spec: type[Spec], prefix: str = "") -> Iterator[tuple[str, str, str, 
     """
     for name, field in spec.model_fields.items():
         path = f"{prefix}{name}"
-        annotation: Any = field.annotation
-        if field.metadata:
-            annotation = Annotated[annotation, *field.metadata]
+        annotation = _annotation(field)
         default = (
             "required" if field.is_required() else _default(field.get_default(call_default_factory=True))
         )
@@ -44,6 +42,17 @@ def fields(spec: type[Spec], prefix: str = "") -> Iterator[tuple[str, str, str, 
             if len(alternatives) > 1:
                 yield f"{path}, {'or' if i else 'either'}", "", "", own_docstring(inner)
             yield from fields(inner, f"{path}{marks}.")
+
+
+def bounds(field: FieldInfo) -> str:
+    """The bounds of a number that a field holds, e.g. `` > 0, < 1``; empty if there are none."""
+    holds = _holds(_annotation(field))
+    return "" if " or " in holds else holds.removeprefix("whole ").removeprefix("number")
+
+
+def _annotation(field: FieldInfo) -> Any:
+    annotation: Any = field.annotation
+    return Annotated[annotation, *field.metadata] if field.metadata else annotation
 
 
 def _default(value: Any) -> str:

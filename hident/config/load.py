@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from hident.config.suggest import did_you_mean, one_of
-from hident.config.yaml12 import Complaint, Location, Place, Reader, error_of, shown, spelled
+from hident.config.yaml12 import LARGEST, Complaint, Location, Place, Reader, error_of, shown, spelled
 from hident.errors import ConfigError
 
 _ABSENT = object()
@@ -120,7 +120,14 @@ def read_leniently(path: Path) -> Document:
         If the file cannot be read or is no YAML mapping at all.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            content = file.read(LARGEST + 1)
+        if len(content) > LARGEST:
+            raise ConfigError(
+                f"{path}: cannot be read: it is larger than {LARGEST // 1024} kB, "
+                "the most that a file of YAML may have"
+            )
+        text = content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError:
         near = [str(other) for other in sorted(path.parent.glob("*.yaml"))]
         if path.parent == Path() and not path.suffix:
@@ -160,15 +167,43 @@ def override(document: Document, assignments: Iterable[str]) -> Document:
 
 
 def _assigned(document: Document, assignment: str) -> Document:
-    path, equals, text = assignment.partition("=")
+    path, text = split_assignment(document, assignment)
     place = Place(0, f"--set {assignment}")
-    if not equals or not path.strip():
+    if not path:
         raise ConfigError(f"{place.text}: must be of the form key.path=value")
     reader = Reader(place.text, numbered=False)
     value = reader.read(text)
     if reader.complaints:
         raise error_of(reader.complaints)
-    return document.patched(path.strip(), value, place)
+    return document.patched(path, value, place)
+
+
+def split_assignment(document: Document, assignment: str) -> tuple[str, str]:
+    """The key path and the text of the value of a ``--set`` assignment; no path if it is none.
+
+    Names in a path may hold equals signs, as texts may: of all ways to split, the one whose path leads
+    furthest along keys of the document is meant, and the first of several.
+    """
+    parts = assignment.split("=")
+    ways = [("=".join(parts[:i]).strip(), "=".join(parts[i:])) for i in range(1, len(parts))]
+    ways = [way for way in ways if way[0]]
+    return max(ways, key=lambda way: _known(document.data, way[0].split(".")), default=("", ""))
+
+
+def _known(document: dict[str, Any], path: list[str]) -> int:
+    """The length of the part of a path that leads along keys; the name of a new axis is a path itself."""
+    at: Any = document
+    rest = path
+    while rest:
+        if isinstance(at, list):
+            at = {str(i): item for i, item in enumerate(at)}
+        keys = at if isinstance(at, Mapping) else {}
+        length = next((n for n in range(len(rest), 0, -1) if ".".join(rest[:n]) in keys), 0)
+        if not length:
+            break
+        at, rest = keys[".".join(rest[:length])], rest[length:]
+    found = path[: len(path) - len(rest)]
+    return len(".".join(found)) + (_known(document, rest) if rest and found == ["cases"] else 0)
 
 
 def _put(data: dict[str, Any], path: str, value: Any, place: str) -> Location:
@@ -183,7 +218,7 @@ def _put(data: dict[str, Any], path: str, value: Any, place: str) -> Location:
         key: str | int
         if isinstance(at, list):
             key, *rest = rest
-            if not key.isdecimal() or int(key) >= len(at):
+            if key not in map(str, range(len(at))):
                 allowed = f"one of {one_of(map(str, range(len(at))))}" if at else "left out"
                 raise ConfigError(
                     f"{place}: {path}: {where} is a list of {len(at)}, so '{key}' must be {allowed}"

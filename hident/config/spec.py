@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sized
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
 from pydantic import (
@@ -58,17 +58,28 @@ PLURALS: dict[str, Family] = {
 }
 
 
+_A_NUMBER = "must be a number, or a formula such as '2*pi' or '1/5'"
+_A_WHOLE_NUMBER = "must be a whole number"
+_WORDS = re.compile(r"[^\W\d]\w*(?: [^\W\d]\w*|-[^\W\d]\w+)*")
+
+
 def _as_real(value: Any) -> Any:
     if isinstance(value, str):
-        return number(value)
+        try:
+            return number(value)
+        except ValueError:
+            # Of a mere word, what is wrong is not a name in a formula.
+            if _WORDS.fullmatch(value):
+                raise ValueError(_A_NUMBER) from None
+            raise
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError("must be a number, or a formula such as '2*pi' or '1/5'")
+        raise ValueError(_A_NUMBER)
     return float(value)
 
 
 def _as_count(value: Any) -> Any:
     if isinstance(value, bool) or not isinstance(value, int):
-        raise ValueError("must be a whole number")
+        raise ValueError(_A_WHOLE_NUMBER)
     if abs(value) >= 2**63:
         raise ValueError("must be below 2^63")
     return value
@@ -98,6 +109,9 @@ class Spec(BaseModel):
     # Schemas are built at first use: a command needs few of them.
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
+    instead: ClassVar[Mapping[str, str]] = {}
+    """By field that takes a number, what does what a word there asks for, as in ``delay: search``."""
+
     @model_validator(mode="wrap")
     @classmethod
     def _explain(cls, data: Any, handler: Callable[[Any], Any]) -> Any:
@@ -107,7 +121,7 @@ class Spec(BaseModel):
             return handler(data)
         except ValidationError as error:
             raise ValidationError.from_exception_data(
-                error.title, [cls._explained(detail, data) for detail in error.errors()]
+                error.title, [cls._explained(detail, data) for detail in error.errors() if _is_so(detail)]
             ) from None
 
     @classmethod
@@ -139,11 +153,22 @@ class Spec(BaseModel):
             case "string_type":
                 message = "must be text"
         message = message.removeprefix("Value error, ").replace("Input should be", "must be")
+        if message in (_A_NUMBER, _A_WHOLE_NUMBER) and len(loc) == 1 and loc[0] in cls.model_fields:
+            message = cls._allowed(str(loc[0]), detail["input"], message)
         return InitErrorDetails(
             type=PydanticCustomError("config", message),
             loc=_as_written(loc, data, message),
             input=detail["input"],
         )
+
+    @classmethod
+    def _allowed(cls, name: str, value: Any, message: str) -> str:
+        """The message about what is no number with the field's bounds, and where a word belongs."""
+        from hident.config.describe import bounds
+
+        kind, comma, formula = message.partition(",")
+        remedy = cls.instead.get(name) if isinstance(value, str) else None
+        return f"{kind}{bounds(cls.model_fields[name])}{comma}{formula}" + (f"; {remedy}" if remedy else "")
 
     @classmethod
     def __get_pydantic_json_schema__(
@@ -153,6 +178,14 @@ class Spec(BaseModel):
         for name, meaning in meanings(cls).items():
             found["properties"][name]["description"] = meaning
         return found
+
+
+def _is_so(detail: Any) -> bool:
+    """Whether a list is too short: pydantic does not count the items in which something else is wrong."""
+    if detail["type"] != "too_short":
+        return True
+    value = detail["input"]
+    return not isinstance(value, Sized) or len(value) < detail["ctx"]["min_length"]
 
 
 def _as_written(loc: tuple[str | int, ...], data: Any, message: str) -> tuple[str | int, ...]:
@@ -254,7 +287,7 @@ class Of:
         if bare:
             value = {"kind": value}
         if not isinstance(value, Mapping):
-            raise PydanticCustomError("config", f"must be a mapping with 'kind:' (allowed: {one_of(known)})")
+            raise self._error("must be a mapping with 'kind:'", (), value)
         kind = value.get("kind")
         if isinstance(kind, str) and kind in known:
             return known[kind].model_validate({k: v for k, v in value.items() if k != "kind"})
@@ -263,10 +296,12 @@ class Of:
             if "kind" in value
             else f"is required: the {self.family}"
         )
-        problem = PydanticCustomError("config", f"{message} (allowed: {one_of(known)})")
-        loc = () if bare else ("kind",)
-        raise ValidationError.from_exception_data(
-            self.family, [InitErrorDetails(type=problem, loc=loc, input=kind)]
+        raise self._error(message, () if bare else ("kind",), kind)
+
+    def _error(self, message: str, loc: tuple[str, ...], value: Any) -> ValidationError:
+        problem = PydanticCustomError("config", f"{message} (allowed: {one_of(components(self.family))})")
+        return ValidationError.from_exception_data(
+            self.family, [InitErrorDetails(type=problem, loc=loc, input=value)]
         )
 
 

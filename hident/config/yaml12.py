@@ -1,14 +1,16 @@
 """Strict YAML by the 1.2 core schema, with the place of every key.
 
 ``1e-3`` is a number, ``no``, ``off`` and ``12:30`` are texts, and a key that stands twice in a mapping is an
-error. PyYAML's own reading, that of YAML 1.1, serves for the syntax only.
+error. PyYAML's own reading, that of YAML 1.1, serves for the syntax only. Of YAML 1.1 the merge key is kept:
+``<<: *name`` adds the keys of another mapping, or of each of a list of them, that the mapping does not give
+itself; of a list the first counts.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import yaml
@@ -24,9 +26,12 @@ _HEX = re.compile(r"0x[0-9a-fA-F]+\Z")
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?\Z")
 _INFINITE = re.compile(r"([-+]?)\.(?:inf|Inf|INF)\Z")
 _NAN = re.compile(r"\.(?:nan|NaN|NAN)\Z")
+_MERGE = "<<"
 _DEEPEST = 50
 _MOST_VALUES = 200_000
 _MOST_DIGITS = 250
+LARGEST = 2**18
+"""The most bytes of a file: PyYAML takes up to 35 microseconds for each, as in a list of single digits."""
 
 
 class Place(NamedTuple):
@@ -126,18 +131,9 @@ class Reader:
         )
 
     def _plain(self, node: yaml.Node, location: Location, inside: tuple[yaml.Node, ...]) -> Any:
-        place = self._place(node.start_mark.line)
-        self.places.setdefault(location, place)
-        self._values += 1
-        if self._values > _MOST_VALUES:
-            raise ConfigError(f"{place.text}: the file holds more than {_MOST_VALUES} values")
-        if node in inside:
-            self._complain(node, location, "an anchor cannot contain itself")
+        self.places.setdefault(location, self._place(node.start_mark.line))
+        if not self._enters(node, location, inside):
             return None
-        if len(inside) == _DEEPEST:
-            raise ConfigError(f"{place.text}: is nested more than {_DEEPEST} deep")
-        if node.tag:
-            self._complain(node, location, f"the tag {node.tag} is not allowed; quotation marks make a text")
         inside = (*inside, node)
         if isinstance(node, yaml.MappingNode):
             return self._mapping(node, location, inside)
@@ -147,23 +143,78 @@ class Reader:
         # A quoted or block scalar is a text.
         return _resolved(node.value) if node.style is None else node.value
 
+    def _count(self, node: yaml.Node) -> None:
+        """Count a value, so that anchors cannot make many of few."""
+        self._values += 1
+        if self._values > _MOST_VALUES:
+            place = self._place(node.start_mark.line).text
+            raise ConfigError(f"{place}: the file holds more than {_MOST_VALUES} values")
+
+    def _enters(self, node: yaml.Node, location: Location, inside: tuple[yaml.Node, ...]) -> bool:
+        """Count a node, and say whether it can be read: it must not stand inside itself."""
+        self._count(node)
+        if node in inside:
+            self._complain(node, location, "an anchor cannot contain itself")
+            return False
+        if len(inside) == _DEEPEST:
+            raise ConfigError(
+                f"{self._place(node.start_mark.line).text}: is nested more than {_DEEPEST} deep"
+            )
+        if node.tag:
+            self._complain(node, location, f"the tag {node.tag} is not allowed; quotation marks make a text")
+        return True
+
     def _mapping(
         self, node: yaml.MappingNode, location: Location, inside: tuple[yaml.Node, ...]
     ) -> dict[str, Any]:
         mapping: dict[str, Any] = {}
+        for key, (key_node, value_node) in self._pairs(node, location, inside).items():
+            at = (*location, key)
+            self.places[at] = self._place(key_node.start_mark.line)
+            mapping[key] = self._plain(value_node, at, inside)
+        return mapping
+
+    def _pairs(
+        self, node: yaml.MappingNode, location: Location, inside: tuple[yaml.Node, ...]
+    ) -> dict[str, tuple[yaml.Node, yaml.Node]]:
+        """The nodes of the keys and values of a mapping, those that it merges included."""
+        lines: dict[str, int] = {}
+        pairs: dict[str, tuple[yaml.Node, yaml.Node]] = {}
         for key_node, value_node in node.value:
             if not isinstance(key_node, yaml.ScalarNode):
                 self._complain(key_node, location, "a key must be plain text")
                 continue
             key = key_node.value
-            at = (*location, key)
-            if key in mapping:
-                first = f" in line {self.places[at].line}" if self._numbered else ""
-                self._complain(key_node, at, f"this key stands already{first}")
+            if key in lines:
+                first = f" in line {lines[key]}" if self._numbered else ""
+                self._complain(key_node, (*location, key), f"this key stands already{first}")
                 continue
-            self.places[at] = self._place(key_node.start_mark.line)
-            mapping[key] = self._plain(value_node, at, inside)
-        return mapping
+            lines[key] = key_node.start_mark.line + 1
+            # In quotation marks it is a key like any other.
+            if key == _MERGE and key_node.style is None:
+                for merged in self._merged(value_node, (*location, key), inside):
+                    for name, pair in merged.items():
+                        self._count(value_node)
+                        pairs.setdefault(name, pair)
+            else:
+                pairs[key] = (key_node, value_node)
+        return pairs
+
+    def _merged(
+        self, node: yaml.Node, location: Location, inside: tuple[yaml.Node, ...]
+    ) -> Iterator[dict[str, tuple[yaml.Node, yaml.Node]]]:
+        """The pairs of each mapping that a merge key names."""
+        if not self._enters(node, location, inside):
+            return
+        inside = (*inside, node)
+        if isinstance(node, yaml.MappingNode):
+            yield self._pairs(node, location[:-1], inside)
+        elif isinstance(node, yaml.SequenceNode) and all(isinstance(n, yaml.MappingNode) for n in node.value):
+            for i, one in enumerate(node.value):
+                if self._enters(one, (*location, i), inside):
+                    yield self._pairs(one, location[:-1], (*inside, one))
+        else:
+            self._complain(node, location, "must be a mapping whose keys are merged, or a list of such")
 
 
 def _resolved(text: str) -> Any:

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, ValidationError
 
-from hident.config.load import Document, Problem, problems_of
+from hident.config.load import Document, Problem, problems_of, split_assignment
 from hident.config.spec import Spec
 from hident.config.suggest import did_you_mean, one_of
 from hident.config.yaml12 import Complaint, Place, shown
@@ -50,7 +50,10 @@ class Cases(Spec):
     """The axes, which must be sound before they can be applied."""
 
     cases: dict[str, AxisAsWritten] = {}
-    """Axes: a key path with a list of values, or a name with labels and the values that each sets."""
+    """Axes: a key path with a list of values, or a name with labels and the values that each sets.
+
+    The value null for an estimator, as in 'label: {estimators.NAME: null}', leaves it out there.
+    """
 
 
 def _labels(written: list[Any] | Mapping[str, Any]) -> tuple[Label, ...]:
@@ -95,8 +98,13 @@ class Axis:
         """What the axis touches: ("data",), ("estimators", name) or ("metrics", name)."""
         return frozenset(map(_root, itertools.chain.from_iterable(self.patches)))
 
+    def leaves_out(self, index: int) -> frozenset[str]:
+        """The names of the estimators that a label of the axis sets to null."""
+        patches = self.patches[index].items()
+        return frozenset(_root(path)[1] for path, value in patches if _leaves_out(path, value))
+
     def apply(self, document: Document, index: int) -> Document:
-        """The document at a label of the axis.
+        """The document at a label of the axis; an estimator that it leaves out stays as it is.
 
         Raises
         ------
@@ -104,13 +112,20 @@ class Axis:
             If a key path leads nowhere.
         """
         for path, value in self.patches[index].items():
-            document = document.patched(path, value, self.places[index][path])
+            if not _leaves_out(path, value):
+                document = document.patched(path, value, self.places[index][path])
         return document
 
 
 def _root(path: str) -> tuple[str, ...]:
     head, *rest = path.split(".")
     return ("data",) if head in DATA else (head, *rest[:1])
+
+
+def _leaves_out(path: str, value: Any) -> bool:
+    """Whether a patch leaves an estimator out of its cases, as ``estimators.NAME: null`` does."""
+    head, *rest = path.split(".")
+    return value is None and head == "estimators" and len(rest) == 1
 
 
 def sound_axes(document: Document, complaints: list[Complaint]) -> tuple[Axis, ...]:
@@ -139,10 +154,12 @@ def sound_axes(document: Document, complaints: list[Complaint]) -> tuple[Axis, .
     return tuple(sound)
 
 
-def idle_assignments(axes: Iterable[Axis], assignments: Iterable[str]) -> Iterator[Complaint]:
+def idle_assignments(
+    document: Document, axes: Iterable[Axis], assignments: Iterable[str]
+) -> Iterator[Complaint]:
     """The ``--set`` assignments without effect, as every label of an axis sets their key."""
     for assignment in assignments:
-        path, _, value = (part.strip() for part in assignment.partition("="))
+        path, value = (part.strip() for part in split_assignment(document, assignment))
         for axis in axes:
             if all(any(f"{path}.".startswith(f"{key}.") for key in patch) for patch in axis.patches):
                 remedy = f"; use --set cases.{path}=[{value}]" if axis.name == path else " under every label"
@@ -175,6 +192,8 @@ def _misplaced(axis: Axis, document: Document) -> list[Complaint]:
     for patches, places in zip(axis.patches, axis.places, strict=True):
         at_label = document
         for path, value in patches.items():
+            if _leaves_out(path, value):
+                continue
             try:
                 at_label = at_label.patched(path, value, places[path])
             except ConfigError as error:

@@ -72,7 +72,8 @@ class Expansion:
             choices = self._choices({root})
             if 1 < choices.count <= _MOST_UNITS:
                 for choice in choices:
-                    self._part(root, choice)
+                    if root == ("data",) or not self._is_left_out(root[1], choice):
+                        self._part(root, choice)
         return self._complaints
 
     def units(
@@ -98,12 +99,20 @@ class Expansion:
                 problem = Problem(("cases",), f"expands to more than {_MOST_UNITS} estimates")
                 self._complaints += self._document.complaints_of([problem])
                 break
-            for choice in choices:
+            wanted = [choice for choice in choices if not self._is_left_out(name, choice)]
+            if not wanted:
+                problem = Problem(("estimators", name), "is left out of every case")
+                self._complaints += self._document.complaints_of([problem])
+            for choice in wanted:
                 unit = self._unit(name, scored, choice)
                 if unit is not None:
                     found.append((self._relevant(("data",), choice), unit))
         complaints += self._complaints
         return [unit for _, unit in sorted(found, key=lambda pair: pair[0])]
+
+    def _is_left_out(self, name: str, choice: Mapping[int, int]) -> bool:
+        """Whether a chosen label leaves the estimator out, whatever the others set."""
+        return any(name in self._axes[axis].leaves_out(index) for axis, index in choice.items())
 
     def _unit(self, name: str, scored: list[str], choice: dict[int, int]) -> Unit | None:
         data = self._part(("data",), choice)

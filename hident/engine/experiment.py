@@ -80,6 +80,12 @@ def _as_runs(value: Any) -> Any:
     raise ValueError("must be a whole number of at least 1, 'unknown' or 'exact'")
 
 
+def _given(estimator: Any) -> Any:
+    if estimator is None:
+        raise ValueError("must be an estimator; only a label of an axis can set it to null, to leave it out")
+    return estimator
+
+
 class Published(Spec):
     """The printed numbers that a run is held against."""
 
@@ -104,7 +110,7 @@ class Experiment(Data, Cases):
     """Seed of all random streams."""
     trials: Annotated[Count, Field(ge=1)]
     """Monte Carlo trials of every case."""
-    estimators: dict[str, Annotated[EstimatorSpec, Of("estimator")]]
+    estimators: dict[str, Annotated[EstimatorSpec, Of("estimator"), BeforeValidator(_given)]]
     """The estimators by the name that tables show."""
     metrics: dict[str, Annotated[MetricSpec, Of("metric")]]
     """The metrics by the name that tables show."""
@@ -204,7 +210,7 @@ def load(
     complaints: list[Complaint] = []
     axes = sound_axes(document, complaints)
     all_axes_sound = not complaints
-    complaints += [*document.complaints, *idle_assignments(axes, assignments)]
+    complaints += [*document.complaints, *idle_assignments(document, axes, assignments)]
     expansion = Expansion(document, axes)
     # The first label of every axis completes the file: what a case sets need not stand twice.
     first = expansion.document(dict.fromkeys(range(len(axes)), 0))

@@ -52,6 +52,8 @@ class Data(Spec):
     @field_validator("noise", mode="before")
     @classmethod
     def _listed(cls, value: Any) -> Any:
+        if value is None:
+            raise ValueError("must be a noise or a list of them; write [] for none")
         return [value] if isinstance(value, str | Mapping | NoiseSpec) else value
 
     @field_validator("excitation")

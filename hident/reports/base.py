@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from hident.config.spec import Component
+from hident.config.spec import Component, Spec
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
 
@@ -75,6 +75,29 @@ def unscored(plan: Plan, field: Field, estimator: str, metric: str) -> Iterator[
     """A misfit if no unit of the estimator is scored by the metric."""
     if not any(unit.name == estimator and metric in unit.metric_labels for unit in plan.units):
         yield field, f"the metric '{metric}' does not score the estimator '{estimator}'"
+
+
+def left_out(plan: Plan, spec: Spec, place: Place = ()) -> Iterator[Misfit]:
+    """A misfit for each part of a report that names an estimator where no case holds it."""
+    at = getattr(spec, "at", {})
+    at = at if isinstance(at, Mapping) else {}
+    named = {field: getattr(spec, field) for field in ("estimator", "estimators") if hasattr(spec, field)}
+    for field, names in named.items():
+        several = {"": names} if isinstance(names, str) else names
+        for key, name in several.items() if isinstance(several, Mapping) else enumerate(several):
+            if not any(unit.name == name and unit.is_at(at) for unit in plan.units):
+                labels = ", ".join(f"{axis} {label}" for axis, label in at.items())
+                inside = () if isinstance(names, str) else (key,)
+                yield (
+                    (*place, field, *inside),
+                    f"the estimator '{name}' is left out at {labels or 'every label'}",
+                )
+    for field in type(spec).model_fields:
+        value = getattr(spec, field)
+        for i, inner in enumerate(value) if isinstance(value, tuple) else (("", value),):
+            if isinstance(inner, Spec):
+                inside = (i,) if isinstance(value, tuple) else ()
+                yield from left_out(plan, inner, (*place, field, *inside))
 
 
 def not_numeric(plan: Plan, field: Field, axis: str, *, positive: bool, least: int = 1) -> Iterator[Misfit]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +17,7 @@ from hident.ledger.verdicts import Verdict
 from hident.reports.base import (
     FigureSpec,
     Misfit,
+    Place,
     Reference,
     Table,
     TableSpec,
@@ -86,6 +88,15 @@ class Limit(TableSpec):
         yield from not_numeric(plan, "along", self.along, positive=False)
         for i, estimator in enumerate(self.estimators):
             yield from unscored(plan, ("estimators", i), estimator, self.metric)
+            yield from self._gaps(plan, ("estimators", i), estimator)
+
+    def _gaps(self, plan: Plan, place: Place, estimator: str) -> Iterator[Misfit]:
+        """A misfit for each case in which the estimator is left out, as no limit reaches beyond it."""
+        labels = {axis.name: axis.labels for axis in plan.axes}
+        for x, far in itertools.product(labels[self.x], labels[self.along]):
+            at = {**self.at, self.x: x, self.along: far}
+            if not any(unit.name == estimator and unit.is_at(at) for unit in plan.units):
+                yield place, f"the estimator '{estimator}' is left out at {self.x} {x}, {self.along} {far}"
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         import pandas as pd

@@ -25,7 +25,7 @@ from hident.engine.runner import unit_key
 from hident.engine.trial import digest
 from hident.errors import ConfigError, StoreError
 from hident.ledger.verdicts import Verdict, frame, judge
-from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec
+from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, left_out
 from hident.reports.style import style
 from hident.reports.tables import failures, written
 
@@ -122,7 +122,7 @@ def check(plan: Plan) -> None:
         for family, specs in (("tables", experiment.tables), ("figures", experiment.figures))
         for name, spec in specs.items()
         if isinstance(spec, ReportSpec)
-        for field, message in spec.misfits(plan)
+        for field, message in tuple(left_out(plan, spec)) or spec.misfits(plan)
     ]
     if problems:
         raise plan.document.error(problems)

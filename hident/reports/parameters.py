@@ -122,7 +122,9 @@ class Efficiency(TableSpec):
         data = pd.DataFrame(rows)
         shown = tuple(
             tuple(
-                f"{value:.3f}" if isinstance(value, float) and name in self.of else str(value)
+                ("-" if np.isnan(value) else f"{value:.3f}")
+                if isinstance(value, float) and name in self.of
+                else str(value)
                 for name, value in zip(data.columns, row, strict=True)
             )
             for row in data.itertuples(index=False)
@@ -132,13 +134,14 @@ class Efficiency(TableSpec):
         return Table(self.title, tuple(map(str, data.columns)), shown, (note,), data)
 
     def efficiencies(self, results: Results, estimator: str, case: Series) -> list[float]:
-        """The efficiency of every parameter in the case of a series."""
+        """The efficiency of every parameter in the case of a series; nan where that has no bound."""
         labels = case.unit.labels
         found = []
         for name in self.of:
             error = next(results.select(estimator, f"{self.metric} {name}", labels))
-            bound = next(results.select(self.bound, f"{self.bound_metric} se_{name}", labels))
-            found.append(float(np.mean(bound.valid**2) / np.var(error.valid, ddof=1)))
+            bound = next(results.select(self.bound, f"{self.bound_metric} se_{name}", labels), None)
+            ratio = np.nan if bound is None else np.mean(bound.valid**2) / np.var(error.valid, ddof=1)
+            found.append(float(ratio))
         return found
 
 

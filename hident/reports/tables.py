@@ -101,7 +101,7 @@ class Grid(TableSpec):
                 row = [", ".join(map(str, (label, *rest)))]
                 for column, printed in zip(self.columns, shown, strict=True):
                     found = next(results.select(column.estimator, column.metric, labels), None)
-                    row.append("" if found is None else self._cell(found, column.statistic))
+                    row.append("-" if found is None else self._cell(found, column.statistic))
                     if printed:
                         verdict = beside.get((id(found), column.statistic))
                         row.append(f"{verdict.printed.printed} {SIGNS[verdict.word]}" if verdict else "")
@@ -201,7 +201,13 @@ class Rate(TableSpec):
         )
 
     def slope(self, group: Sequence[Series]) -> tuple[float, float]:
-        """Weighted least-squares slope and its standard error, scaled up if the fit is worse than noise."""
+        """Weighted least-squares slope and its standard error, scaled up if the fit is worse than noise.
+
+        Both are nan for fewer than two cases.
+        """
+        if len(group) < 2:
+            # The other cases leave this estimator out.
+            return math.nan, math.nan
         power = 0.5 if self.root else 1.0
         x = np.log([float(series.unit.labels[self.axis]) for series in group])
         value = np.array([series.value(self.statistic) for series in group])

@@ -191,7 +191,7 @@ def test_prbs_messages():
     assert refused(Prbs, order=1) == "must be greater than or equal to 2"
     assert refused(Prbs, order=21) == "must be less than or equal to 20"
     assert refused(Prbs, order=5, clock=0) == "must be greater than or equal to 1"
-    assert refused(Prbs, order=5, clock=1.5) == "must be a whole number"
+    assert refused(Prbs, order=5, clock=1.5) == "must be a whole number >= 1"
     assert refused(Prbs, order=5, levels=[1, -1]) == "must be [low, high] with low < high"
 
 

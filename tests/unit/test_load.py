@@ -1,6 +1,7 @@
 import json
 import math
 import time
+from typing import Any
 
 import pytest
 from hypothesis import example, given, settings
@@ -105,6 +106,54 @@ def test_anchors_are_followed(tmp_path):
     assert document.place(("b", "k")).line == 1
 
 
+MERGED = """\
+common: &common
+  kind: kernel
+  bandwidth: &wide {h0: 1, alpha: 0.2}
+other: &other
+  kind: other
+  order: 3
+a:
+  <<: *common
+  kernel: gaussian
+b: {kernel: window, <<: [*common, *other], bandwidth: {<<: *wide, h0: 2}}
+c: {"<<": {kind: x}}
+"""
+
+
+def test_merge_keys_add_what_a_mapping_does_not_give_itself(tmp_path):
+    data = loaded(tmp_path, MERGED).data
+    assert data["a"] == {"kind": "kernel", "bandwidth": {"h0": 1, "alpha": 0.2}, "kernel": "gaussian"}
+    assert data["b"] == {
+        "kernel": "window",
+        "kind": "kernel",
+        "bandwidth": {"h0": 2, "alpha": 0.2},
+        "order": 3,
+    }
+    assert data["c"] == {"<<": {"kind": "x"}}
+    assert list(data["a"]) == ["kind", "bandwidth", "kernel"]
+
+
+def test_merged_keys_stand_where_they_were_written(tmp_path):
+    document = loaded(tmp_path, MERGED)
+    places = {("a", "kind"): 2, ("a", "bandwidth", "h0"): 3, ("a", "kernel"): 9, ("b", "order"): 6}
+    assert {at: document.place(at).line for at in places} == places
+
+
+def test_merges_cannot_grow_without_bound(tmp_path):
+    keys = ", ".join(f"k{i}: 1" for i in range(500))
+    merges = ", ".join(["*a"] * 500)
+    assert "holds more than 200000 values" in refused(tmp_path, f"a: &a {{{keys}}}\nb: {{<<: [{merges}]}}")
+
+
+def test_a_file_that_is_too_large_is_refused_before_it_is_read_as_yaml(tmp_path):
+    message = "a.yaml: cannot be read: it is larger than 256 kB, the most that a file of YAML may have"
+    assert refused(tmp_path, "a: [" + "1," * 2**17 + "]") == message
+    # Cut off in the middle of a character.
+    assert refused(tmp_path, "#" * (2**18) + "\N{EURO SIGN}") == message
+    assert loaded(tmp_path, "a: 1\n" + "#" * (2**18 - 5)).data == {"a": 1}
+
+
 @pytest.mark.parametrize("text", ["a: 1\r\nb: 2\r\n", "\ufeffa: 1\nb: 2", "---\na: 1\nb: 2\n...\n"])
 def test_line_ends_byte_order_mark_and_document_marks(tmp_path, text):
     assert loaded(tmp_path, text).data == {"a": 1, "b": 2}
@@ -126,6 +175,18 @@ def test_line_ends_byte_order_mark_and_document_marks(tmp_path, text):
         (b"a: 1\nb: \xff", "a.yaml:2: cannot be read: it is not UTF-8 text"),
         ("a: &x\n  - *x", "a.yaml:1: a[0]: an anchor cannot contain itself"),
         ("a: &x {b: {c: *x}}", "a.yaml:1: a.b.c: an anchor cannot contain itself"),
+        ("a: &x {<<: *x}", "a.yaml:1: a.<<: an anchor cannot contain itself"),
+        ("a: &x {<<: [{b: 1}, *x]}", "a.yaml:1: a.<<[1]: an anchor cannot contain itself"),
+        (
+            "a: &x 3\nb:\n  <<: *x",
+            "a.yaml:1: b.<<: must be a mapping whose keys are merged, or a list of such",
+        ),
+        (
+            "a: &x {c: 1}\nb: {<<: [*x, 2]}",
+            "a.yaml:2: b.<<: must be a mapping whose keys are merged, or a list of such",
+        ),
+        ("a: &x {c: 1}\nb:\n  <<: *x\n  <<: *x", "a.yaml:4: b.<<: this key stands already in line 3"),
+        ("b:\n  <<: {c: 1, c: 2}", "a.yaml:2: b.c: this key stands already in line 2"),
         ("? [a]\n: 1", "a.yaml:1: file: a key must be plain text"),
         ("a:\n  b: 1\n  c: 2\n  b: 3", "a.yaml:4: a.b: this key stands already in line 2"),
         ("1: a\n'1': b", "a.yaml:2: 1: this key stands already in line 1"),
@@ -297,6 +358,44 @@ def test_an_assignment_that_cannot_be_applied(assignment, message):
     with pytest.raises(ConfigError) as caught:
         override(document(), [assignment])
     assert str(caught.value) == f"--set {assignment}: {message}"
+
+
+NAMES = ["W = I", "a=b=c", 'it\'s "so"', "x[0]", "=", "über", "a: b, {c}"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names_in_an_assignment_may_hold_any_sign(name):
+    data = {"estimators": {name: {"lags": 2}, "W": {"lags": 1}}, "cases": {f"estimators.{name}.degree": [1]}}
+    before = Document("f", data)
+    places: dict[str, Location] = {
+        f"estimators.{name}.lags=3": ("estimators", name, "lags"),
+        f"estimators.{name}.new = 3": ("estimators", name, "new"),
+        f"estimators.{name} =3": ("estimators", name),
+        f"cases.estimators.{name}.lags=3": ("cases", f"estimators.{name}.lags"),
+        f"cases.estimators.{name}.degree=3": ("cases", f"estimators.{name}.degree"),
+        f"cases.estimators.{name}.degree.0=3": ("cases", f"estimators.{name}.degree", 0),
+    }
+    for assignment, at in places.items():
+        found: Any = override(before, [assignment]).data
+        for key in at:
+            found = found[key]
+        assert found == 3, assignment
+    assert before.data["estimators"][name] == {"lags": 2}
+
+
+@pytest.mark.parametrize("value", ["a=b", "where(u >= 1, 2, 3)", "estimators.W=2"])
+def test_values_in_an_assignment_may_hold_equals_signs(value):
+    data = {"title": "", "estimators": {"W": {"lags": 1}}}
+    assert override(Document("f", data), [f"title={value}"]).data["title"] == value
+    assert override(Document("f", data), [f"estimators.W.new='{value}'"]).data["estimators"]["W"] == {
+        "lags": 1,
+        "new": value,
+    }
+
+
+def test_an_index_that_is_no_number_of_the_list_is_refused():
+    with pytest.raises(ConfigError, match="must be one of 0, 1"):
+        override(document(), [f"system.linear.a.{'9' * 5000}=1"])
 
 
 def test_all_assignments_that_cannot_be_applied_are_named():

@@ -96,8 +96,8 @@ estimators:
     kind: iterative_hammerstein
     nonlinearity: {{kind: three_segment, partition: {partition}}}
     first: {{n: 3, m: 1, {horizon}}}
-    second: {{n: 3, m: 1}}
-    delay: 2
+    second: {{{second}}}
+    delay: {delay}
     start: 2.5
 metrics: {{a: {{kind: error, of: [a_1]}}}}
 """
@@ -106,6 +106,8 @@ SUITABLE = {
     "dt": 0.1,
     "levels": "std: 1.25, limits: [-2.5, 2.5]",
     "partition": "[-0.5, 0.5]",
+    "second": "n: 3, m: 1",
+    "delay": 2,
     "horizon": "horizon: 15",
 }
 HOPELESS = [
@@ -167,7 +169,7 @@ def test_inputs_without_room_for_partition_points_are_refused(tmp_path, changes,
 def test_horizons_that_do_not_suit_the_record_are_refused_at_load(tmp_path, changes, message):
     with pytest.raises(ConfigError) as caught:
         continuous_plan(tmp_path, **changes)
-    assert str(caught.value) == f"{tmp_path}/c.yaml:12: estimators.two stage: {message}"
+    assert str(caught.value) == f"{tmp_path}/c.yaml:12: estimators.two stage: {message} (under 'first')"
 
 
 def test_the_program_ends_with_code_2_before_any_trial(lab):
@@ -236,3 +238,55 @@ def test_simulations_that_fail_are_failed_trials_and_no_reason_to_refuse(lab):
     )
     assert said is not None, text
     assert 2 <= int(said[1]) < 12
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"second": "structure: search, delays: [1, 7000]"},
+            "the delay 7000 of second.delays is no shorter than the record, 100: "
+            "take a shorter delay or a longer record",
+        ),
+        (
+            {"delay": 100},
+            "the delay 100 is no shorter than the record, 100: take a shorter delay or a longer record",
+        ),
+        (
+            {"second": "n: 3, m: 1, horizon: 150"},
+            "the horizon 150 is too long for the record: it spans 97.5 from the start 2.5, "
+            "and 165 is the least that holds one horizon (under 'second')",
+        ),
+    ],
+)
+def test_delays_and_horizons_of_every_stage_are_held_against_the_record(tmp_path, changes, message):
+    with pytest.raises(ConfigError) as caught:
+        continuous_plan(tmp_path, **changes)
+    assert str(caught.value) == f"{tmp_path}/c.yaml:12: estimators.two stage: {message}"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"delay": "search"},
+            "17: estimators.two stage.delay: must be a number >= 0, or a formula such as '2*pi' or '1/5'; "
+            "'second: {structure: search, delays: [...]}' searches among several (got 'search')",
+        ),
+        (
+            {"horizon": "horizon: auto"},
+            "15: estimators.two stage.first.horizon: must be a number > 0, "
+            "or a formula such as '2*pi' or '1/5'; "
+            "there is no automatic choice: take one to two settling times (got 'auto')",
+        ),
+        (
+            {"second": "n: search"},
+            "16: estimators.two stage.second.n: must be a whole number >= 1, <= 8; "
+            "'structure: search' finds n and m (got 'search')",
+        ),
+    ],
+)
+def test_words_for_numbers_are_told_where_a_search_is(tmp_path, changes, message):
+    with pytest.raises(ConfigError) as caught:
+        continuous_plan(tmp_path, **changes)
+    assert str(caught.value) == f"{tmp_path}/c.yaml:{message}"

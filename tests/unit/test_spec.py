@@ -33,6 +33,21 @@ class Inner(Spec):
     pair: tuple[Real, Real] = (0.0, 1.0)
 
 
+class Slider(Spec):
+    """What tries several."""
+
+    instead = {"gap": "'gaps' tries several"}
+
+    gap: Annotated[Real, Field(ge=0, lt=1)] | None = None
+    """The gap."""
+    size: Annotated[Count, Field(ge=1)] = 1
+    """The size."""
+    rows: Annotated[tuple[Inner, ...], Field(min_length=1)] = (Inner(),)
+    """Rows."""
+    grid: Annotated[tuple[Annotated[tuple[Real, ...], Field(min_length=2)], ...], Field(min_length=2)] = ()
+    """Numbers."""
+
+
 class Other(Spec):
     """The other thing."""
 
@@ -111,6 +126,58 @@ def complaints(**data):
     return [f"{spelled(problem.location)}: {problem.message}" for problem in problems_of(caught.value)]
 
 
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        (
+            {"rows": [{"wdth": 1}]},
+            ["rows[0].wdth: unknown key; did you mean 'width'? (allowed: width, pair)"],
+        ),
+        ({"rows": [{"width": 0}, {}]}, ["rows[0].width: must be greater than 0"]),
+        ({"rows": []}, ["rows: must be a list of at least 1"]),
+        (
+            {"grid": [[1, True], [1, 2]]},
+            ["grid[0][1]: must be a number, or a formula such as '2*pi' or '1/5'"],
+        ),
+        ({"grid": [[1], [1, 2]]}, ["grid[0]: must be a list of at least 2"]),
+        (
+            {"grid": [[1, True]]},
+            [
+                "grid: must be a list of at least 2",
+                "grid[0][1]: must be a number, or a formula such as '2*pi' or '1/5'",
+            ],
+        ),
+    ],
+)
+def test_a_list_with_a_wrong_item_is_not_too_short(data, expected):
+    with pytest.raises(ValidationError) as caught:
+        Slider.model_validate(data)
+    assert sorted(f"{spelled(p.location)}: {p.message}" for p in problems_of(caught.value)) == expected
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        (
+            {"gap": "search"},
+            "gap: must be a number >= 0, < 1, or a formula such as '2*pi' or '1/5'; 'gaps' tries several",
+        ),
+        ({"gap": [1]}, "gap: must be a number >= 0, < 1, or a formula such as '2*pi' or '1/5'"),
+        ({"gap": "2*x"}, "gap: unknown name 'x' in the formula '2*x' (allowed: pi, e and the functions "),
+        ({"size": "auto"}, "size: must be a whole number >= 1"),
+        (
+            {"grid": [["a b", 1], [1, 2]]},
+            "grid[0][0]: must be a number, or a formula such as '2*pi' or '1/5'",
+        ),
+    ],
+)
+def test_a_word_where_a_number_belongs(data, expected):
+    with pytest.raises(ValidationError) as caught:
+        Slider.model_validate(data)
+    [problem] = problems_of(caught.value)
+    assert f"{spelled(problem.location)}: {problem.message}".startswith(expected)
+
+
 ALLOWED = "allowed: number, colour, on, inner, several, either, texts, table, nonlinearity, list_of"
 
 
@@ -136,7 +203,7 @@ ALLOWED = "allowed: number, colour, on, inner, several, either, texts, table, no
         *(
             (
                 {"number": 1, "inner": {"width": width}},
-                "inner.width: must be a number, or a formula such as '2*pi' or '1/5'",
+                "inner.width: must be a number > 0, or a formula such as '2*pi' or '1/5'",
             )
             for width in (True, None, [1], {"a": 1})
         ),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Self
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -35,6 +37,15 @@ def multicollinearity(phi: Array, prefix: str = "") -> dict[str, float]:
     }
 
 
+@contextmanager
+def under(field: str) -> Iterator[None]:
+    """Name the field under which the values of a ValueError stand."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{error} (under '{field}')") from None
+
+
 # Section 5's loop ends after this many rounds at the latest.
 ROUNDS = 5
 
@@ -56,12 +67,21 @@ class MovingHorizonSpec(EstimatorSpec):
     def check(self, n: int, dt: float | None) -> None:
         if dt is None:
             raise ValueError("a continuous-time method needs the sampling interval 'dt' of the data")
-        if self.delay >= (n - 1) * dt:
-            raise ValueError(
-                f"the delay {self.delay:g} is no shorter than the record, {(n - 1) * dt:g}: "
-                "take a shorter delay or a longer record"
-            )
+        length = (n - 1) * dt
+        for delay, field in (
+            (self.delay, ""),
+            *((delay, f" of {field}") for delay, field in self.tried_delays()),
+        ):
+            if delay >= length:
+                raise ValueError(
+                    f"the delay {delay:g}{field} is no shorter than the record, {length:g}: "
+                    "take a shorter delay or a longer record"
+                )
         self.check_horizons(n, dt)
+
+    def tried_delays(self) -> Iterator[tuple[float, str]]:
+        """The delays that a search tries, each with the field that it stands in."""
+        yield from ()
 
     def check_horizons(self, n: int, dt: float) -> None:
         """Raise ValueError if the horizons do not suit records of ``n`` samples every ``dt``."""
@@ -82,6 +102,10 @@ class MovingHorizonSpec(EstimatorSpec):
 
 class IterativeSpec(MovingHorizonSpec):
     """Base of the iterative two-stage estimators."""
+
+    instead: ClassVar[Mapping[str, str]] = {
+        "delay": "'second: {structure: search, delays: [...]}' searches among several"
+    }
 
     first: StageSpec
     """The first stage, which finds the static function."""
@@ -109,14 +133,20 @@ class IterativeSpec(MovingHorizonSpec):
         """The number of parameters of the first stage besides a_1, ..., a_n and b_1, ..., b_m."""
         raise NotImplementedError
 
+    def tried_delays(self) -> Iterator[tuple[float, str]]:
+        if self.second is not None:
+            yield from ((delay, "second.delays") for delay in self.second.delays)
+
     def check_horizons(self, n: int, dt: float) -> None:
         stages = [self.first]
         if self.automatic:
             stages.append(self.first.of_structure(self.largest_n, self.largest_n - 1))
-        for stage in stages:
-            stage.horizons(n, dt, self.start, stage.n + stage.m + self.function_parameters())
+        with under("first"):
+            for stage in stages:
+                stage.horizons(n, dt, self.start, stage.n + stage.m + self.function_parameters())
         if self.second is not None:
-            self.second.check(n, dt, self.start, gain=False)
+            with under("second"):
+                self.second.check(n, dt, self.start, gain=False)
 
     def error_names(self, lowest: int) -> list[str]:
         """The names of the standard errors of a_1, ... and of b_i from b_lowest on."""

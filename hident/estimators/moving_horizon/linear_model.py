@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from typing import ClassVar
+
 import numpy as np
 from pydantic import model_validator
 
 from hident.config.spec import component
-from hident.estimators.moving_horizon.iterative import MovingHorizonSpec, multicollinearity, padded
+from hident.estimators.moving_horizon.iterative import (
+    MovingHorizonSpec,
+    multicollinearity,
+    padded,
+    under,
+)
 from hident.estimators.moving_horizon.linear_transform import SecondStageSpec
 from hident.records import Estimate, Record
 
@@ -14,6 +22,10 @@ from hident.records import Estimate, Record
 @component("estimator", "linear_model", source="Hwang and Lin 2003; Chen, Hwang, Chang 2009, examples 5, 6")
 class LinearModel(MovingHorizonSpec):
     """Continuous-time linear model by least squares over moving horizons."""
+
+    instead: ClassVar[Mapping[str, str]] = {
+        "delay": "'block: {structure: search, delays: [...]}' searches among several"
+    }
 
     block: SecondStageSpec
     """Structure and horizons of the model; the horizon's length is required here."""
@@ -24,8 +36,12 @@ class LinearModel(MovingHorizonSpec):
             raise ValueError("block.horizon is required: the length eta of the horizons")
         return self
 
+    def tried_delays(self) -> Iterator[tuple[float, str]]:
+        yield from ((delay, "block.delays") for delay in self.block.delays)
+
     def check_horizons(self, n: int, dt: float) -> None:
-        self.block.check(n, dt, self.start, gain=True)
+        with under("block"):
+            self.block.check(n, dt, self.start, gain=True)
 
     def provides(self) -> frozenset[str]:
         n = self.block.most

@@ -11,9 +11,9 @@ and its static gain b_0 may be known.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -186,6 +186,11 @@ def search_structure(
 class StageSpec(Spec):
     """The structure and the horizons of the first stage."""
 
+    instead: ClassVar[Mapping[str, str]] = {
+        "n": "give a guess; 'structure: search' under 'second' searches",
+        "m": "give a guess; 'structure: search' under 'second' searches",
+        "horizon": "there is no automatic choice: take one to two settling times",
+    }
     n: Order
     """Order n of the linear block; it may be wrong at this stage."""
     m: Annotated[Count, Field(ge=0)] = 0
@@ -214,6 +219,11 @@ class StageSpec(Spec):
 class SecondStageSpec(Spec):
     """The structure of a linear block and the horizons that it is found with."""
 
+    instead: ClassVar[Mapping[str, str]] = {
+        "n": "'structure: search' finds n and m",
+        "m": "'structure: search' finds n and m",
+        "horizon": "a second stage chooses it where it is left out",
+    }
     structure: Literal["given", "search"] = "given"
     """Whether n and m are given, or searched for among all up to largest_n."""
     n: Order | None = None
