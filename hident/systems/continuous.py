@@ -66,6 +66,10 @@ class ContinuousTransferFunction:
         """Whether all poles lie in the left half plane."""
         return bool(np.all(self.poles().real < 0.0))
 
+    def static_gain(self) -> float:
+        """The gain at frequency zero."""
+        return self.b[0]
+
     def values(self) -> dict[str, float]:
         """The parameters by name: a_1, ..., a_n, b_0, ..., b_m."""
         named = {f"a_{i}": value for i, value in enumerate(self.a, start=1)}

@@ -8,6 +8,7 @@ from pydantic import model_validator
 from hident.config.spec import component
 from hident.estimators.moving_horizon.iterative import MovingHorizonSpec, multicollinearity, padded
 from hident.estimators.moving_horizon.linear_transform import SecondStageSpec
+from hident.estimators.normalisation import Normalisation, known_function
 from hident.records import Estimate, Record
 
 
@@ -26,6 +27,9 @@ class LinearModel(MovingHorizonSpec):
 
     def check_horizons(self, n: int, dt: float) -> None:
         self.block.check(n, dt, self.start, gain=True)
+
+    def normalisations(self) -> tuple[Normalisation, ...]:
+        return (known_function("the nonlinearity is u", np.positive),)
 
     def provides(self) -> frozenset[str]:
         n = self.block.most
