@@ -98,9 +98,9 @@ def test_another_split_of_the_gain_is_refused_with_the_remedy(refusals):
     assert first.endswith(
         "metrics.nonlinearity: the metric 'nonlinearity_percent_error' compares absolute values "
         "(nonlinearity), and no data determine the factor between the blocks: estimator 'two-stage' "
-        "(two_stage) fixes it by the rule '|b| = 1, b_1 > 0', and the system has 2.236 in place of 1. Divide b "
-        "of the linear block by 2.236067977 and multiply the nonlinearity by it, which is the same system, or "
-        "limit the metric to other estimators by 'estimators:' under it"
+        "(two_stage) fixes it by the rule '|b| = 1, b_1 > 0', and the system has 2.236 in place of 1. "
+        "Divide b of the linear block by 2.236067977 and multiply the nonlinearity by it, which is the "
+        "same system, or limit the metric to other estimators by 'estimators:' under it"
     )
     assert (
         "estimator 'kernel' (kernel) fixes it by the rule 'gamma_0 = 1, a constant left in'; the system has "
