@@ -16,9 +16,10 @@ from hident.config.spec import Of
 from hident.config.suggest import one_of
 from hident.config.yaml12 import Complaint, Location
 from hident.engine.cases import DATA, Axis, Label
+from hident.engine.comparable import incomparable
 from hident.engine.trial import Data
 from hident.estimators.base import EstimatorSpec
-from hident.metrics.base import MetricSpec
+from hident.metrics.base import MetricSpec, Scored
 
 _MOST_UNITS = 100_000
 
@@ -178,15 +179,25 @@ def _missing(needs: frozenset[str], given: frozenset[str]) -> list[str]:
 
 def _mismatches(unit: Unit) -> Iterator[Problem]:
     """What does not fit together in a unit, though each part is sound."""
-    data = unit.data
+    data, data_fit = unit.data, True
     try:
         data.excitation.check(data.samples, data.dt or 1.0)
     except (ValueError, ArithmeticError) as error:
         yield Problem(("excitation",), str(error))
+        data_fit = False
     try:
         data.system.check(data.dt)
     except ValueError as error:
         yield Problem(("system",), str(error))
+        data_fit = False
+    if data_fit:
+        for stretch in data.excitation.stretches(data.samples, data.dt or 1.0):
+            if (level := stretch.excitation.before()) is not None:
+                try:
+                    data.system.check_before(level)
+                except ValueError as error:
+                    yield Problem(("excitation",), str(error))
+                    data_fit = False
     try:
         unit.estimator.check(data.samples, data.dt)
     except ValueError as error:
@@ -205,17 +216,43 @@ def _mismatches(unit: Unit) -> Iterator[Problem]:
             f"'{data.system.kind}' does not have (it has: {one_of(sorted(true))})",
         )
     for name, metric in unit.metrics.items():
-        unknown = _missing(metric.needs_of_truth(), true)
-        for missing in unknown:
-            yield Problem(
-                ("metrics", name),
-                f"the metric '{metric.kind}' needs the {missing} of the system, which "
-                f"'{data.system.kind}' does not have (it has: {one_of(sorted(true))})",
+        messages = list(_unmet(unit, metric, true, estimated))
+        if data_fit and not messages:
+            messages = list(_unsound(unit, metric))
+        yield from (Problem(("metrics", name), message) for message in messages)
+
+
+def _unmet(unit: Unit, metric: MetricSpec, true: frozenset[str], estimated: frozenset[str]) -> Iterator[str]:
+    """What a metric needs and does not get."""
+    unknown = _missing(metric.needs_of_truth(), true)
+    for missing in unknown:
+        yield (
+            f"the metric '{metric.kind}' needs the {missing} of the system, which "
+            f"'{unit.data.system.kind}' does not have (it has: {one_of(sorted(true))})"
+        )
+    for missing in sorted({*_missing(metric.needs_of_estimate(), estimated)} - {*unknown}):
+        yield (
+            f"the metric '{metric.kind}' needs the {missing} of the estimate, which estimator "
+            f"'{unit.name}' ({unit.estimator.kind}) does not give (it gives: "
+            f"{one_of(sorted(estimated))}); 'estimators:' under the metric limits it to some"
+        )
+
+
+def _unsound(unit: Unit, metric: MetricSpec) -> Iterator[str]:
+    """Why a metric that gets all it needs would say nothing."""
+    data, estimator = unit.data, unit.estimator
+    try:
+        metric.check(
+            Scored(
+                data.samples,
+                data.dt,
+                data.system,
+                data.excitation,
+                estimator.provides(),
+                estimator.discrete_step(data.dt),
             )
-        for missing in sorted({*_missing(metric.needs_of_estimate(), estimated)} - {*unknown}):
-            yield Problem(
-                ("metrics", name),
-                f"the metric '{metric.kind}' needs the {missing} of the estimate, which estimator "
-                f"'{unit.name}' ({unit.estimator.kind}) does not give (it gives: "
-                f"{one_of(sorted(estimated))}); 'estimators:' under the metric limits it to some",
-            )
+        )
+    except (ValueError, ArithmeticError) as error:
+        yield f"the metric '{metric.kind}' {error}"
+    for message in incomparable(metric, unit.name, estimator, data.system, data.dt):
+        yield f"the metric '{metric.kind}' {message}"

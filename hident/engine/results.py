@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hident.engine.experiment import Label, Plan, Statistic, Unit
+from hident.numerics.rounding import is_constant
 from hident.records import Array
 
 if TYPE_CHECKING:
@@ -32,8 +33,9 @@ class Series:
 
     @cached_property
     def valid(self) -> Array:
-        """The values of the trials that did not fail."""
-        return self.values[np.isfinite(self.values)]
+        """The values of the trials that did not fail; all the first where they differ by rounding only."""
+        found = self.values[np.isfinite(self.values)]
+        return np.full_like(found, found[0]) if len(found) and is_constant(found) else found
 
     @cached_property
     @np.errstate(all="ignore")
@@ -43,10 +45,12 @@ class Series:
         counts = {"trials": len(self.values), "failed": len(self.values) - len(valid)}
         if not len(valid):
             return {**counts, **dict.fromkeys(STATISTICS[2:], float("nan"))}
-        std = float(np.std(valid, ddof=1)) if len(valid) > 1 else float("nan")
+        # The mean of equal numbers may differ from them in the last digit, and each from that mean.
+        constant = bool(np.all(valid == valid[0]))
+        std = float("nan") if len(valid) < 2 else 0.0 if constant else float(np.std(valid, ddof=1))
         return {
             **counts,
-            "mean": float(np.mean(valid)),
+            "mean": float(valid[0] if constant else np.mean(valid)),
             "std": std,
             "se": std / len(valid) ** 0.5,
             "median": float(np.median(valid)),
@@ -63,6 +67,8 @@ class Series:
         valid, n = self.valid, len(self.valid)
         if n < 2:
             return float("nan")
+        if np.all(valid == valid[0]):
+            return 0.0
         match statistic:
             case "mean":
                 return self.statistics["se"]

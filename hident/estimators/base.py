@@ -8,6 +8,7 @@ import numpy as np
 
 from hident.config.spec import Component
 from hident.errors import EstimationError
+from hident.estimators.normalisation import Normalisation
 from hident.records import Array, Estimate, Record
 
 
@@ -37,6 +38,17 @@ class EstimatorSpec(Component):
     def needs_of_truth(self) -> frozenset[str]:
         """The parts it needs of the truth, as a bound or a reference does; none by default."""
         return frozenset()
+
+    def normalisations(self) -> tuple[Normalisation, ...] | None:
+        """How it fixes the factor between the blocks, which no data determine; None if it does not say.
+
+        One rule for each set of parts; a part that none governs does not depend on the factor.
+        """
+        return None
+
+    def discrete_step(self, dt: float | None) -> float:
+        """The sampling interval of the estimate's discrete linear block, given that of the data."""
+        return 1.0 if dt is None else dt
 
     def check(self, n: int, dt: float | None) -> None:
         """Raise ValueError if records of ``n`` samples every ``dt`` (None: discrete time) do not suit."""

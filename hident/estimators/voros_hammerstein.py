@@ -29,6 +29,7 @@ from hident.estimators.base import EstimatorSpec, require_finite
 from hident.estimators.bilinear_models.bilinear import lengths
 from hident.estimators.moving_horizon.searches import History
 from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
+from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.records import Array, Characteristic, Estimate, Record, Response
 from hident.systems.linear import TransferFunction
 
@@ -207,6 +208,9 @@ class VorosSpec(EstimatorSpec):
         values = {f"value {name}" for name in (*self.names(), "iterations", "converged")}
         return frozenset(values | {"nonlinearity", "linear", "response"})
 
+    def discrete_step(self, dt: float | None) -> float:
+        return super().discrete_step(dt) if self.step is None else self.step
+
     def check(self, n: int, dt: float | None) -> None:
         ratio = self._ratio(1.0 if dt is None else dt)
         left = len(range(0, n, ratio))
@@ -331,6 +335,9 @@ class VorosHammerstein(VorosSpec):
 
     The first b is 1, so that the static gain lies in the nonlinearity. Both polynomials vanish at zero.
     """
+
+    def normalisations(self) -> tuple[Normalisation, ...]:
+        return (first_coefficient(self.delay, values="b f g", step=self.step),)
 
     def identify(self, u: Array, y: Array) -> Iterations:
         return voros_hammerstein(u, y, self.structure(), self.rule())

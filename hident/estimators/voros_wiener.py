@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hident.config.spec import component
+from hident.estimators.normalisation import Normalisation, unit_slope
 from hident.estimators.voros_hammerstein import (
     Iterations,
     Rule,
@@ -76,6 +77,9 @@ class VorosWiener(VorosSpec):
 
     f_1 is 1 and the static gain lies in the linear block. Both polynomials vanish at zero.
     """
+
+    def normalisations(self) -> tuple[Normalisation, ...]:
+        return (unit_slope("f_1 = 1", "b f g", "nonlinearity", "linear"),)
 
     def identify(self, u: Array, y: Array) -> Iterations:
         return voros_wiener(u, y, self.structure(), self.rule())

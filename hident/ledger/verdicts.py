@@ -10,7 +10,7 @@ trials give, widened by its rounding. ``differs``: else, and then a reason is ow
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -46,6 +46,20 @@ class Verdict:
         p = self.printed
         head = (p.table, p.row, p.quantity, p.printed)
         return (*head, self.ours, self.low, self.high, self.word, self.reason, self.interval)
+
+
+Beside = dict[tuple[int, Statistic], "Verdict"]
+"""The verdicts by series (its id) and statistic."""
+
+
+def beside(verdicts: Iterable[Verdict]) -> Beside:
+    """Each verdict by what it stands beside: a series' mean and its std are two numbers."""
+    return {(id(verdict.series), verdict.cell.statistic): verdict for verdict in verdicts}
+
+
+def beside_trials(verdicts: Iterable[Verdict]) -> dict[int, Verdict]:
+    """By series (its id) the verdict that stands beside its trials: on the mean or median, not on the std."""
+    return {id(verdict.series): verdict for verdict in verdicts if verdict.cell.statistic != "std"}
 
 
 def judge(results: Results) -> tuple[Verdict, ...]:

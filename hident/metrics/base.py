@@ -3,9 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from hident.config.spec import Component
 from hident.records import Estimate, Record
+from hident.signals.base import ExcitationSpec, Stretch
+from hident.systems.base import SystemSpec
+
+
+@dataclass(frozen=True)
+class Scored:
+    """What a metric is to score: the data of a case, and what an estimator makes of them.
+
+    ``dt`` is the sampling interval (None: discrete time), ``provides`` the parts of the estimate, and
+    ``step`` the sampling interval of its discrete linear block.
+    """
+
+    samples: int
+    dt: float | None
+    system: SystemSpec
+    excitation: ExcitationSpec
+    provides: frozenset[str]
+    step: float
+
+    def stretches(self) -> tuple[Stretch, ...]:
+        """The experiments of the record."""
+        return self.excitation.stretches(self.samples, self.dt or 1.0)
 
 
 class MetricSpec(Component):
@@ -25,6 +48,21 @@ class MetricSpec(Component):
     def needs_of_estimate(self) -> frozenset[str]:
         """The parts it needs of the estimate, spelled as in :meth:`EstimatorSpec.provides`."""
         return frozenset()
+
+    def compares(self) -> frozenset[str]:
+        """The parts whose absolute values it compares with the truth's.
+
+        By default all that it needs of both. A metric that does not depend on the factor between the blocks,
+        which no data determine, gives none.
+        """
+        return self.needs_of_truth() & self.needs_of_estimate()
+
+    def says(self, dt: float | None) -> str:
+        """What a table says of how it scores at sampling interval ``dt``; nothing by default."""
+        return ""
+
+    def check(self, scored: Scored) -> None:
+        """Raise ValueError if it cannot score this, though every part that it needs is there."""
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         """One number for each label; a number that is not finite counts as a failed trial."""

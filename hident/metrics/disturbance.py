@@ -11,8 +11,21 @@ from collections.abc import Sequence
 import numpy as np
 
 from hident.config.spec import Flag, Real, component
-from hident.metrics.base import MetricSpec
+from hident.metrics.base import MetricSpec, Scored
 from hident.records import Estimate, Record
+
+# A coefficient that is written with four digits.
+_CLOSE = 1e-4
+
+
+def _check_first_coefficient(scored: Scored) -> None:
+    """Raise ValueError unless gamma_0 is 1, without which y - w is no disturbance."""
+    block = scored.system.truth().linear
+    if block is not None and abs(block.b[0] - 1.0) > _CLOSE:
+        raise ValueError(
+            "takes y - w for the disturbance, which holds where gamma_0 = 1, "
+            f"and the system has {block.b[0]:.4g}"
+        )
 
 
 @component("metric", "disturbance_variance", source="Mzyk 2009, section IV-C")
@@ -27,6 +40,12 @@ class DisturbanceVariance(MetricSpec):
 
     def needs_of_estimate(self) -> frozenset[str]:
         return frozenset({"linear"} if self.filtered else ())
+
+    def compares(self) -> frozenset[str]:
+        return self.needs_of_estimate()
+
+    def check(self, scored: Scored) -> None:
+        _check_first_coefficient(scored)
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         assert record.truth is not None
@@ -53,6 +72,9 @@ class DisturbanceVarianceFormula(MetricSpec):
 
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset({"linear"})
+
+    def check(self, scored: Scored) -> None:
+        _check_first_coefficient(scored)
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         assert record.truth is not None

@@ -21,10 +21,13 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from hident.config.spec import Count, Flag, component
-from hident.metrics.base import MetricSpec
+from hident.config.suggest import did_you_mean, one_of
+from hident.metrics.base import MetricSpec, Scored
 from hident.records import Array, Estimate, Periodic, Record, Truth
+from hident.signals.base import Stretch
+from hident.signals.excitation import Multisine, Sine
 from hident.systems.continuous import Complex, ContinuousTransferFunction
-from hident.systems.continuous_wiener_hammerstein import respond
+from hident.systems.continuous_wiener_hammerstein import ACCURACY, respond
 
 _NAME = re.compile(r"(gain_i|phase_i|series_gain)_(\d+)|(gain_o|phase_o|phase_sum)_(\d+)_(\d+)")
 _RANGE = re.compile(r"(\d+)\.\.(\d+)")
@@ -35,9 +38,26 @@ _SAME = 1e-9
 def sine_frequencies(record: Record) -> Array:
     """The angular frequencies w_1 < w_2 < ... of the record's experiments with sines, shape (n,)."""
     waves = [part.waveform for part in record.parts.values()]
-    sines = [w for w in waves if isinstance(w, Periodic) and w.harmonics.tolist() == [1]]
-    omega = np.sort([2.0 * math.pi / wave.period for wave in sines])
+    return _distinct([w.period for w in waves if isinstance(w, Periodic) and w.harmonics.tolist() == [1]])
+
+
+def frequencies_of(stretches: Sequence[Stretch]) -> Array:
+    """The angular frequencies w_1 < w_2 < ... of the sines among experiments to come, shape (n,)."""
+    return _distinct([s.excitation.period_at(s.dt) for s in stretches if isinstance(s.excitation, Sine)])
+
+
+def _distinct(periods: Sequence[float]) -> Array:
+    omega = np.sort([2.0 * math.pi / period for period in periods])
     return omega[np.diff(omega, prepend=0.0) > _SAME * omega]
+
+
+def _check_static_gains(scored: Scored) -> None:
+    """Raise ValueError if a block has no static gain, to which gains and phases are relative."""
+    for place, block in scored.system.truth().blocks.items():
+        if block.static_gain() == 0.0:
+            raise ValueError(
+                f"is relative to the static gains, and the system's {place}_linear has none (b_0 = 0)"
+            )
 
 
 def estimated_frequencies(estimate: Estimate) -> Array:
@@ -130,6 +150,9 @@ class _True(_OfResponses):
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset({"blocks"})
 
+    def check(self, scored: Scored) -> None:
+        _check_static_gains(scored)
+
     def truths(self, record: Record, omega: Array) -> list[float]:
         """The true values at the frequencies w_1, w_2, ... (n,)."""
         assert record.truth is not None
@@ -158,6 +181,13 @@ class Response(_Estimated):
 class TrueResponse(_True):
     """True gains and phases of the two linear blocks at the frequencies of all the record's sines."""
 
+    def check(self, scored: Scored) -> None:
+        super().check(scored)
+        known = len(frequencies_of(scored.stretches()))
+        for name in self.of:
+            if _parsed(name)[1] > known:
+                raise ValueError(f"asks for {name}, and the record has sines at {known} frequencies")
+
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         return self.truths(record, sine_frequencies(record))
 
@@ -176,7 +206,9 @@ class ResponseError(_Estimated, _True):
             error = found - at
             if name.startswith("phase"):
                 error = math.remainder(error, 2.0 * math.pi)
-            errors.append(error * (100.0 / at if self.relative else 1.0))
+            if self.relative:
+                error = 100.0 * error / at if at else math.nan
+            errors.append(error)
         return errors
 
     def needs_of_estimate(self) -> frozenset[str]:
@@ -203,6 +235,12 @@ class GainShapeError(MetricSpec):
             f"value gain_{k} or value {part}" for m, k in numbered for part in _factors(f"series_gain_{m}")
         )
 
+    def check(self, scored: Scored) -> None:
+        _check_static_gains(scored)
+        single = f"value gain_{self.harmonics[0]}" in scored.provides
+        if single and not any(isinstance(s.excitation, Multisine) for s in scored.stretches()):
+            raise ValueError("counts the harmonics of multisines, and the record has none")
+
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         assert record.truth is not None
         names = [f"gain_{k}" for k in self.harmonics]
@@ -225,7 +263,11 @@ def _lowest_frequency(record: Record) -> float:
 
 @component("metric", "moved_delay")
 class MovedDelay(MetricSpec):
-    """Largest change of the noise-free output, relative to its range, when Go's delay moves to Gi."""
+    """Largest change of the noise-free output, relative to its range, when Go's delay moves to Gi.
+
+    A change below the accuracy of the simulation, 1e-11, is the rounding of two ways to compute one output,
+    and counts as zero.
+    """
 
     experiments: Annotated[tuple[str, ...], Field(min_length=1)]
     """Names of experiments, one number each; a name stands for its series NAME 1, NAME 2, ... too."""
@@ -236,9 +278,33 @@ class MovedDelay(MetricSpec):
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset({"blocks", "nonlinearity"})
 
+    def check(self, scored: Scored) -> None:
+        names = [stretch.name for stretch in scored.stretches()]
+        for experiment in self.experiments:
+            if not any(_belongs(name, experiment) for name in names):
+                near = did_you_mean(experiment, names)
+                raise ValueError(
+                    f"names the experiment '{experiment}', which there is not{near} "
+                    f"(there are: {one_of(names)})"
+                )
+
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         assert record.truth is not None
         return [_change(record, record.truth, name) for name in self.experiments]
+
+
+def _belongs(name: str, experiment: str) -> bool:
+    """Whether an experiment is the one named, or of its series."""
+    return name == experiment or name.startswith(f"{experiment} ")
+
+
+def _relative_change(one: Array, other: Array) -> float:
+    """The largest difference relative to the range; nan where there is none."""
+    moved, span = float(np.max(np.abs(one - other))), float(np.ptp(one))
+    # The simulation is accurate relative to the largest line of a spectrum.
+    if moved <= ACCURACY * max(span, float(np.max(np.abs(one)))):
+        return 0.0
+    return moved / span if span else math.nan
 
 
 def _change(record: Record, truth: Truth, experiment: str) -> float:
@@ -248,9 +314,9 @@ def _change(record: Record, truth: Truth, experiment: str) -> float:
     delayed = replace(first, delay=first.delay + second.delay), replace(second, delay=0.0)
     changes = [math.nan]
     for name, part in record.parts.items():
-        if name == experiment or name.startswith(f"{experiment} "):
+        if _belongs(name, experiment):
             signal = part.waveform, len(part), part.dt
             one = respond(first, truth.nonlinearity, second, *signal)
             other = respond(delayed[0], truth.nonlinearity, delayed[1], *signal)
-            changes.append(float(np.max(np.abs(one - other)) / np.ptp(one)))
+            changes.append(_relative_change(one, other))
     return float(np.fmax.reduce(changes))

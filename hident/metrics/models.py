@@ -10,12 +10,16 @@ import numpy as np
 from pydantic import Field
 
 from hident.config.spec import Count, Of, Real, component
-from hident.errors import SimulationError
-from hident.metrics.base import MetricSpec
+from hident.errors import EstimationError, SimulationError
+from hident.metrics.base import MetricSpec, Scored
+from hident.numerics.rounding import is_constant
 from hident.records import Array, Estimate, Record
 from hident.signals.base import ExcitationSpec
 from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.linear import TransferFunction
+
+# Sampling intervals this close, relative to their size, are one.
+_SAME = 1e-9
 
 
 def discretised_percent_error(
@@ -27,6 +31,11 @@ def discretised_percent_error(
     estimate is taken as it is. The sums run over a'_1, ..., and b'_1, ..., of the true block without
     its delay; leading zeros of a discrete estimate count as its delay.
 
+    Raises
+    ------
+    EstimationError
+        If the estimate has no static gain to be divided by, or an infinite one.
+
     Notes
     -----
     Chen, Hwang, Chang 2009, section 6, example 1. The paper does not state the step, which moves the figure.
@@ -34,6 +43,9 @@ def discretised_percent_error(
     true = _parameters(_without_delay(truth).sampled(step))
     if isinstance(estimate, ContinuousTransferFunction):
         estimate = _without_delay(estimate).sampled(step)
+    gain = estimate.static_gain()
+    if gain == 0.0 or not math.isfinite(gain):
+        raise EstimationError(f"the estimated block has the static gain {gain:g}, and cannot be brought to 1")
     found = _parameters(estimate)
     width = max(len(one) for one in (*true, *found))
     errors = sum(
@@ -58,8 +70,8 @@ def _parameters(block: TransferFunction) -> tuple[np.ndarray, np.ndarray]:
 class LinearPercentError(MetricSpec):
     """Percent error of the linear block's parameters in discrete time, its gain and delay apart."""
 
-    step: Annotated[Real, Field(gt=0)] = 1.0
-    """Sampling interval at which the blocks are compared, in the unit of dt."""
+    step: Annotated[Real, Field(gt=0)] | None = None
+    """Sampling interval at which the blocks are compared, in the unit of dt (default: dt itself)."""
 
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset({"continuous"})
@@ -67,12 +79,32 @@ class LinearPercentError(MetricSpec):
     def needs_of_estimate(self) -> frozenset[str]:
         return frozenset({"linear or continuous"})
 
+    def says(self, dt: float | None) -> str:
+        return f"gain and delay apart, blocks sampled every {self._step(dt):g}"
+
+    def check(self, scored: Scored) -> None:
+        truth, step = scored.system.truth().continuous, self._step(scored.dt)
+        if truth is not None and truth.static_gain() == 0.0:
+            raise ValueError(
+                "leaves the gain apart, and the system's linear block has no static gain (b_0 = 0) to be "
+                "divided by: score the parameters by kind error, or the whole model by validation_error"
+            )
+        discrete = "linear" in scored.provides and "continuous" not in scored.provides
+        if discrete and abs(step - scored.step) > _SAME * step:
+            raise ValueError(
+                f"compares blocks sampled every {step:g}, and the estimate's is sampled every "
+                f"{scored.step:g}: set 'step: {scored.step:g}'"
+            )
+
+    def _step(self, dt: float | None) -> float:
+        return self.step or dt or 1.0
+
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         assert record.truth is not None
         assert record.truth.continuous is not None
         block = estimate.continuous or estimate.linear
         assert block is not None
-        return (discretised_percent_error(block, record.truth.continuous, self.step),)
+        return (discretised_percent_error(block, record.truth.continuous, self._step(record.dt)),)
 
 
 @component("metric", "settling_time", source="Chen, Hwang, Chang 2009, example 5")
@@ -108,6 +140,21 @@ class ValidationError(MetricSpec):
     def needs_of_estimate(self) -> frozenset[str]:
         return frozenset({"response"})
 
+    def check(self, scored: Scored) -> None:
+        dt = 1.0 if scored.dt is None else scored.dt
+        try:
+            self.excitation.check(self.samples, dt)
+            several = len(self.excitation.stretches(self.samples, dt)) > 1
+        except ValueError as error:
+            raise ValueError(f"has an excitation that does not fit: {error}") from None
+        if several:
+            raise ValueError("takes one experiment, not several one after the other")
+        if self.excitation.before():
+            raise ValueError(
+                "starts both responses from rest, with nothing applied before time 0: "
+                "leave out 'initial' of its excitation"
+            )
+
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         assert record.truth is not None
         assert record.truth.response is not None
@@ -120,17 +167,7 @@ class ValidationError(MetricSpec):
 
 
 def validation_input(excitation: ExcitationSpec, samples: int, dt: float) -> Array:
-    """The input (samples,) of a validation; a random one is the same everywhere.
-
-    Raises
-    ------
-    SimulationError
-        If the samples cannot hold the excitation.
-    """
-    try:
-        excitation.check(samples, dt)
-    except ValueError as error:
-        raise SimulationError(f"the validation's excitation does not fit: {error}") from None
+    """The input (samples,) of a validation; a random one is the same everywhere."""
     return excitation.sample(samples, dt, np.random.default_rng(0))
 
 
@@ -140,5 +177,13 @@ def has_stable_block(estimate: Estimate) -> bool:
 
 
 def fit_error(predicted: np.ndarray, actual: np.ndarray) -> float:
-    """Root mean square error in percent of the standard deviation of the actual output, both (N,)."""
+    """Root mean square error in percent of the standard deviation of the actual output, both (N,).
+
+    Raises
+    ------
+    SimulationError
+        If the actual output is constant, so that nothing can be in percent of how it varies.
+    """
+    if is_constant(actual):
+        raise SimulationError("the true output does not vary under the validation's excitation")
     return 100.0 * float(np.sqrt(np.mean((predicted - actual) ** 2)) / np.std(actual))

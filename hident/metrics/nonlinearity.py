@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from hident.config.spec import Count, Interval, component
-from hident.metrics.base import MetricSpec
+from hident.metrics.base import MetricSpec, Scored
 from hident.records import Array, Characteristic, Estimate, Record, Truth
 
 _NODES = 8
@@ -91,6 +91,17 @@ class IntegratedSquaredError(_OnInterval):
 @component("metric", "nonlinearity_percent_error")
 class NonlinearityPercentError(_OnInterval):
     """Root of the integrated squared error in percent of the root of the integrated squared truth."""
+
+    def check(self, scored: Scored) -> None:
+        truth = scored.system.truth()
+        assert truth.nonlinearity is not None
+        with np.errstate(all="ignore"):
+            nodes, _ = quadrature(*self.interval, truth.breakpoints, self.points)
+            if not np.any(truth.nonlinearity(nodes)):
+                raise ValueError(
+                    "is in percent of the true nonlinearity, which is zero throughout the interval: "
+                    "take a wider interval, or the kind mise"
+                )
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         error, energy = self.integrals(estimate, record)

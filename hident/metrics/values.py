@@ -9,7 +9,7 @@ from typing import Annotated
 from pydantic import Field, field_validator
 
 from hident.config.spec import Real, component
-from hident.metrics.base import MetricSpec
+from hident.metrics.base import MetricSpec, Scored
 from hident.records import Estimate, Record
 
 
@@ -110,6 +110,11 @@ class Coverage(_EachValue, _AgainstTruth):
 @component("metric", "percent_error", source="Chen, Hwang, Chang 2009, section 6, example 1")
 class PercentError(_AgainstTruth):
     """Sum of absolute errors of the values in percent of the sum of their absolute truths."""
+
+    def check(self, scored: Scored) -> None:
+        values = scored.system.truth().values
+        if not any(values[name] for name in self.of):
+            raise ValueError("is in percent of the true values, which are all zero: take the kind error")
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         assert record.truth is not None

@@ -66,7 +66,7 @@ class _Distances(TableSpec):
                     continue
                 setting = tuple(str(labels.get(axis, "")) for axis in self.axes(results))
                 with np.errstate(divide="ignore", invalid="ignore"):
-                    ratio = abs(np.log(series.value(cell.statistic) / printed.value))
+                    ratio = abs(np.log(np.divide(series.value(cell.statistic), printed.value)))
                 group = (metric, cell.statistic, printed.quantity, *setting)
                 ratios.setdefault(group, []).append(float(ratio))
         return {group: float(np.mean(values)) for group, values in ratios.items()}

@@ -13,7 +13,7 @@ from hident.config.spec import Count, Spec, component
 from hident.config.suggest import did_you_mean, one_of
 from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
-from hident.ledger.verdicts import Verdict
+from hident.ledger.verdicts import Verdict, beside_trials
 from hident.records import Array
 from hident.reports.base import Misfit, Reference, Table, TableSpec, label_references
 from hident.reports.tables import LEGEND, SIGNS, intervals, written
@@ -121,8 +121,8 @@ class Distribution(TableSpec):
         }
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
-        beside = {id(verdict.series): verdict for verdict in verdicts}
-        cells = [cell for row in self.rows for cell in self._cells(results, row, beside)]
+        printed = beside_trials(verdicts)
+        cells = [cell for row in self.rows for cell in self._cells(results, row, printed)]
         rows: list[tuple[str, ...]] = []
         failed: list[str] = []
         for row in self.rows:
@@ -136,10 +136,10 @@ class Distribution(TableSpec):
         header = (self.row_header, *self.columns)
         return Table(self.title, header, tuple(rows), (*explained, *failed), _data(results, cells))
 
-    def _cells(self, results: Results, row: Group, beside: Mapping[int, Verdict]) -> Iterator[_Cell]:
+    def _cells(self, results: Results, row: Group, printed: Mapping[int, Verdict]) -> Iterator[_Cell]:
         for heading, metric in self._metrics(row).items():
             series = next(results.select(row.estimator, metric, row.at))
-            yield _Cell(row, heading, series, beside.get(id(series)))
+            yield _Cell(row, heading, series, printed.get(id(series)))
 
     def _ours(self, cell: _Cell | None) -> str:
         if cell is None:

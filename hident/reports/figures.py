@@ -12,7 +12,7 @@ from pydantic import Field
 from hident.config.spec import Flag, Interval, Real, Spec, component
 from hident.engine.experiment import Plan, Statistic
 from hident.engine.results import Results, Series
-from hident.ledger.verdicts import Verdict
+from hident.ledger.verdicts import Beside, Verdict, beside
 from hident.records import Array
 from hident.reports.base import FigureSpec, Misfit, Reference, label_references, not_numeric, unscored
 from hident.reports.one_trial import OneTrial, OneTrialFigure, Realised, say_failed, true_curve
@@ -91,12 +91,12 @@ class Curve(FigureSpec):
             sharey=True,
             figsize=(3.4 * columns + 1.4 * (columns == 1), 2.6 * rows + 0.7 * (rows == 1)),
         )
-        beside = {id(verdict.series): verdict for verdict in verdicts}
+        printed = beside(verdicts)
         lines = itertools.cycle(LINES)
         for axes, names in zip(grid.flat, panels, strict=False):
             curves = self._curves(results, names)
             for name, curve in curves.items():
-                self._draw_curve(axes, name, curve, next(lines), beside)
+                self._draw_curve(axes, name, curve, next(lines), printed)
             self._finish(axes, next(iter(curves.values())))
             entries = axes.get_legend_handles_labels()
             if len(panels) > 1 or len(entries[1]) <= _MOST_ENTRIES:
@@ -126,13 +126,15 @@ class Curve(FigureSpec):
         name: str,
         curve: Sequence[Series],
         line: dict[str, Any],
-        beside: dict[int, Verdict],
+        printed: Beside,
     ) -> None:
         x = np.array([float(series.unit.labels[self.x]) for series in curve])
 
-        def heights(statistic: str) -> Array:
-            values = np.array([series.statistics[statistic] for series in curve])
+        def rooted(values: Array) -> Array:
             return np.sqrt(values) if self.root else values
+
+        def heights(statistic: str) -> Array:
+            return rooted(np.array([series.statistics[statistic] for series in curve]))
 
         if self.band:
             low, high = heights("q05"), heights("q95")
@@ -142,10 +144,12 @@ class Curve(FigureSpec):
             axes.plot(x, low, **{**line, **edge})
             axes.plot(x, high, **{**line, **edge})
         axes.plot(x, heights(self.statistic), label=name, **line)
-        printed = [(a, beside[id(s)].printed.value) for a, s in zip(x, curve, strict=True) if id(s) in beside]
-        if printed:
+        theirs = [printed.get((id(series), self.statistic)) for series in curve]
+        if any(theirs):
+            values = np.array([np.nan if v is None else v.printed.value for v in theirs])
             axes.plot(
-                *zip(*printed, strict=True),
+                x,
+                rooted(values),
                 linestyle="none",
                 marker=line["marker"],
                 markersize=8,

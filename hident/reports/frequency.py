@@ -12,12 +12,13 @@ from hident.config.spec import Count, component
 from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
 from hident.engine.trial import generate
+from hident.errors import SimulationError
 from hident.estimators.frequency.nonlinearity_identification import NonlinearityIdentification
-from hident.ledger.verdicts import Verdict
+from hident.ledger.verdicts import Verdict, beside_trials
 from hident.metrics import frequency
 from hident.records import Array, Record
 from hident.reports.base import FigureSpec, Misfit, Reference, Table, TableSpec, label_references, unscored
-from hident.reports.one_trial import OneTrial, OneTrialFigure, Shown, list_failures
+from hident.reports.one_trial import OneTrial, OneTrialFigure, Shown, list_failures, say_failed
 from hident.reports.style import DATA, LINES, TRUTH, legend_above, panel_grid, subplots
 from hident.reports.tables import LEGEND, SIGNS, intervals
 from hident.systems.continuous import ContinuousTransferFunction
@@ -71,20 +72,25 @@ class AgainstTruth(TableSpec):
             for heading, estimator in self.estimators.items()
             for name in self.rows.values()
         }
-        own = {id(series) for series in shown.values()}
-        beside = {v.series.metric: v for v in verdicts if id(v.series) in own}
+        trials = beside_trials(verdicts)
+        # One column holds the printed numbers: the first estimator's that has one.
+        printed = {
+            name: verdict
+            for (_, name), series in reversed(shown.items())
+            if (verdict := trials.get(id(series))) is not None
+        }
         rows = []
         for heading, name in self.rows.items():
             truth = next(results.select(first, f"{self.truth} {name}", self.at)).value("mean")
             row = [heading, f"{truth:.{self.digits + 1}f}"]
-            if beside:
-                verdict = beside.get(f"{self.metric} {name}")
+            if printed:
+                verdict = printed.get(name)
                 row.append(f"{verdict.printed.printed} {SIGNS[verdict.word]}" if verdict else "")
             rows.append((*row, *(self._ours(shown[column, name]) for column in self.estimators)))
-        header = (self.row_header, "truth", *(["printed"] if beside else []), *self.estimators)
+        header = (self.row_header, "truth", *(["printed"] if printed else []), *self.estimators)
         notes = ("Ours: mean ± standard deviation over the trials.", *_missing(shown, results.trials))
-        printed = (LEGEND, *intervals([*beside.values()])) if beside else ()
-        return Table(self.title, header, tuple(rows), (*notes, *printed))
+        legend = (LEGEND, *intervals([*printed.values()])) if printed else ()
+        return Table(self.title, header, tuple(rows), (*notes, *legend))
 
     def _ours(self, series: Series) -> str:
         mean, std = series.value("mean"), series.value("std")
@@ -128,11 +134,17 @@ class Signals(OneTrialFigure):
             yield "experiment", f"there is no experiment '{self.experiment}' (there are: {known})"
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
+        figure, (above, below) = subplots(2, 1, sharex=True, figsize=(5.2, 3.6), height_ratios=(1, 2))
         data = self.curve.unit(results.plan).data
-        record = generate(data, results.seed, self.trial)
+        try:
+            with np.errstate(all="ignore"):
+                record = generate(data, results.seed, self.trial)
+        except SimulationError as error:
+            say_failed(above, "no record")
+            say_failed(below, f"failed: {error}")
+            return figure
         part = record.parts[self.experiment]
         t = np.arange(len(part)) * part.dt
-        figure, (above, below) = subplots(2, 1, sharex=True, figsize=(5.2, 3.6), height_ratios=(1, 2))
         above.plot(t, record.u[part.samples], **{**LINES[0], "marker": ""})
         above.set_ylabel(self.u_label)
         below.plot(t, record.y[part.samples], label="measured", rasterized=True, **{**DATA, "markersize": 1})
@@ -238,11 +250,12 @@ class Bode(FigureSpec):
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         figure, grid = panel_grid(8, 2, 3.4, 1.9)
-        record = generate(next(results.select(self.estimators[0])).unit.data, results.seed, 0)
-        assert record.truth is not None
-        omega = frequency.sine_frequencies(record)[: self.frequencies]
+        data = next(results.select(self.estimators[0])).unit.data
+        blocks = data.system.truth().blocks
+        stretches = data.excitation.stretches(data.samples, data.dt or 1.0)
+        omega = frequency.frequencies_of(stretches)[: self.frequencies]
         for column, side in enumerate(("i", "o")):
-            block = record.truth.blocks["input" if side == "i" else "output"]
+            block = blocks["input" if side == "i" else "output"]
             gains, gain_errors, phases, phase_errors = grid[column::2]
             self._draw_pair(results, (gains, gain_errors), self._names("gain", side), block, omega)
             self._draw_pair(results, (phases, phase_errors), self._names("phase", side), block, omega)

@@ -26,6 +26,7 @@ from hident.engine.trial import digest
 from hident.errors import ConfigError, StoreError
 from hident.ledger.verdicts import Verdict, frame, judge
 from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, left_out
+from hident.reports.scoring import scoring
 from hident.reports.style import style
 from hident.reports.tables import failures, written
 
@@ -143,6 +144,8 @@ def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str,
     """The text of table.md."""
     experiment = results.plan.experiment
     parts = [f"# {experiment.title}", f"{results.trials} trials, seed {results.seed}."]
+    if said := list(scoring(results.plan)):
+        parts.append(" ".join(said))
     parts += [table.markdown() for table in tables.values()]
     if not tables:
         parts.append(_plain_table(results).markdown())

@@ -11,8 +11,7 @@ from pydantic import Field
 from hident.config.spec import Count, Flag, component
 from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
-from hident.engine.trial import generate
-from hident.ledger.verdicts import Verdict
+from hident.ledger.verdicts import Verdict, beside
 from hident.records import Array
 from hident.reports.base import (
     FigureSpec,
@@ -62,24 +61,36 @@ class Parameters(TableSpec):
                 yield from unscored(plan, ("estimators", i), estimator, f"{self.metric} {name}")
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
-        beside: dict[tuple[int, str], Verdict] = {(id(v.series), v.cell.statistic): v for v in verdicts}
+        printed = dict[tuple[int, str], Verdict](beside(verdicts))
         header, rows = ["parameter"], []
-        for estimator in self.estimators:
-            header += [estimator, "printed"] if self._printed(results, estimator, verdicts) else [estimator]
+        columns = {
+            estimator: self._has_printed(results, estimator, verdicts) for estimator in self.estimators
+        }
+        for estimator, two in columns.items():
+            header += [estimator, "printed"] if two else [estimator]
         for name in (*self.of, *self.mean_only):
             row = [name]
             statistics = ("mean",) if name in self.mean_only else ("mean", "std")
-            for estimator in self.estimators:
+            for estimator, two in columns.items():
                 series = _one(results, estimator, f"{self.metric} {name}")
                 row.append(" ± ".join(f"{series.statistics[s]:.{self.decimals}f}" for s in statistics))
-                if self._printed(results, estimator, verdicts):
-                    found = [beside[id(series), s] for s in statistics if (id(series), s) in beside]
+                if two:
+                    found = [printed[id(series), s] for s in statistics if (id(series), s) in printed]
                     row.append(" ± ".join(f"{v.printed.printed} {SIGNS[v.word]}" for v in found))
             rows.append(tuple(row))
-        return Table(self.title, tuple(header), tuple(rows), (LEGEND, *intervals(verdicts)) if beside else ())
+        return Table(
+            self.title, tuple(header), tuple(rows), (LEGEND, *intervals(verdicts)) if printed else ()
+        )
 
-    def _printed(self, results: Results, estimator: str, verdicts: Sequence[Verdict]) -> bool:
-        return any(verdict.series.unit.name == estimator for verdict in verdicts)
+    def _has_printed(self, results: Results, estimator: str, verdicts: Sequence[Verdict]) -> bool:
+        shown = [_one(results, estimator, f"{self.metric} {name}") for name in (*self.of, *self.mean_only)]
+        return any(verdict.series is series for verdict in verdicts for series in shown)
+
+
+def ratios(above: Sequence[float], below: Sequence[float]) -> Array:
+    """The ratios (K,), nan or infinite where the number below is zero."""
+    with np.errstate(all="ignore"):
+        return np.asarray(np.array(above) / np.array(below))
 
 
 @component("table", "efficiency")
@@ -140,8 +151,11 @@ class Efficiency(TableSpec):
         for name in self.of:
             error = next(results.select(estimator, f"{self.metric} {name}", labels))
             bound = next(results.select(self.bound, f"{self.bound_metric} se_{name}", labels), None)
-            ratio = np.nan if bound is None else np.mean(bound.valid**2) / np.var(error.valid, ddof=1)
-            found.append(float(ratio))
+            bounds, errors = np.empty(0) if bound is None else bound.valid, error.valid
+            if len(bounds) and len(errors) > 1:
+                found += ratios([float(np.mean(bounds**2))], [float(np.var(errors, ddof=1))]).tolist()
+            else:
+                found.append(float("nan"))
         return found
 
 
@@ -168,7 +182,7 @@ class ParameterFigure(FigureSpec):
                 yield from unscored(plan, ("estimators", i), estimator, f"{self.metric} {name}")
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        beside = {(id(v.series), v.cell.statistic): v.printed.value for v in verdicts}
+        theirs = {at: verdict.printed.value for at, verdict in beside(verdicts).items()}
         columns = min(4, len(self.of))
         rows = -(-len(self.of) // columns)
         figure, grid = subplots(rows, columns, squeeze=False, figsize=(2.3 * columns, 2.2 * rows + 0.5))
@@ -180,13 +194,13 @@ class ParameterFigure(FigureSpec):
                 line = LINES[i % len(LINES)]
                 look = {"color": line["color"], "marker": line["marker"], "capsize": 3, "linestyle": "none"}
                 axes.errorbar(i, series.value("mean"), series.value("std"), label=estimator, **look)
-                if (id(series), "mean") in beside:
-                    printed = (beside[id(series), "mean"], beside.get((id(series), "std"), 0.0))
+                if (id(series), "mean") in theirs:
+                    printed = (theirs[id(series), "mean"], theirs.get((id(series), "std"), 0.0))
                     look |= {"markerfacecolor": "none", "alpha": 0.75}
                     axes.errorbar(i + 0.3, *printed, label=f"{estimator}, printed", **look)
             unit = _one(results, self.estimators[0], f"{self.metric} {name}").unit
-            truth = generate(unit.data, results.seed, 0).truth
-            if truth is not None and name in truth.values:
+            truth = unit.data.system.truth()
+            if name in truth.values:
                 axes.axhline(truth.values[name], label="truth", **{**TRUTH, "linewidth": 1.0, "zorder": 0})
             axes.set_title(symbol(name))
             axes.set_xticks([])
@@ -227,13 +241,13 @@ class Gain(FigureSpec):
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         figure, axes = subplots(figsize=(4.6, 3.0))
-        printed = {id(v.series): v.printed.value for v in verdicts if v.cell.statistic == "std"}
+        printed = {at: verdict.printed.value for at, verdict in beside(verdicts).items()}
         pairs = [
             tuple(_one(results, name, f"{self.metric} {value}") for name in (self.reference, self.estimator))
             for value in self.of
         ]
         x = np.arange(len(pairs))
-        ours = np.array([a.value("std") / b.value("std") for a, b in pairs])
+        ours = ratios([a.value("std") for a, _ in pairs], [b.value("std") for _, b in pairs])
         # Independent or not, the ratio's error is at most that of independent spreads.
         error = ours / np.sqrt(max(results.trials - 1, 1))
         axes.errorbar(
@@ -244,8 +258,8 @@ class Gain(FigureSpec):
             capsize=3,
             **LINES[0] | {"linestyle": "none"},
         )
-        if all(id(series) in printed for pair in pairs for series in pair):
-            theirs = [printed[id(a)] / printed[id(b)] for a, b in pairs]
+        if all((id(series), "std") in printed for pair in pairs for series in pair):
+            theirs = ratios(*([printed[id(one), "std"] for one in side] for side in zip(*pairs, strict=True)))
             look = {**LINES[1], "linestyle": "none", "markerfacecolor": "none", "markersize": 8}
             axes.plot(x, theirs, label="printed", **look)
         axes.axhline(1.0, color="0.4", linewidth=1.0, linestyle=":", label="no gain")

@@ -11,7 +11,7 @@ from pydantic import Field
 from hident.config.spec import Count, Flag, Spec, component
 from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
-from hident.ledger.verdicts import Verdict
+from hident.ledger.verdicts import Verdict, beside_trials
 from hident.records import Array
 from hident.reports.base import FigureSpec, Misfit, Place, Reference, label_references, unscored
 from hident.reports.style import LINES, legend_above, panel_grid
@@ -101,7 +101,7 @@ class Scatter(FigureSpec):
             yield from unscored(plan, (*place, "metric"), coordinate.estimator, coordinate.metric)
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        printed = {id(verdict.series): verdict.printed.value for verdict in verdicts}
+        printed = {series: verdict.printed.value for series, verdict in beside_trials(verdicts).items()}
         figure, grid = panel_grid(len(self.panels), self.columns, 3.4, 2.8)
         for panel, axes in zip(self.panels, grid, strict=True):
             pair = [one.series(results) for one in (panel.x, panel.y)]

@@ -13,7 +13,8 @@ from pydantic import Field
 from hident.config.spec import Count, Flag, Real, Spec, component
 from hident.engine.experiment import Label, Plan, Statistic
 from hident.engine.results import Results, Series
-from hident.ledger.verdicts import Verdict
+from hident.ledger.verdicts import Verdict, beside
+from hident.records import Array
 from hident.reports.base import Misfit, Reference, Table, TableSpec, not_numeric, unscored
 
 SIGNS = {"exact": "=", "agrees": "~", "differs": "!"}
@@ -78,9 +79,7 @@ class Grid(TableSpec):
             yield from unscored(plan, ("columns", i, "metric"), column.estimator, column.metric)
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
-        beside: dict[tuple[int, str], Verdict] = {
-            (id(verdict.series), verdict.cell.statistic): verdict for verdict in verdicts
-        }
+        printed_at = dict[tuple[int, str], Verdict](beside(verdicts))
         pairs = {(column.estimator, column.metric) for column in self.columns}
         touching = {axis for pair in pairs for one in results.select(*pair) for axis in one.unit.labels}
         others = [a for a in results.plan.axes if a.name in touching and a.name != self.rows]
@@ -89,7 +88,7 @@ class Grid(TableSpec):
         for column in self.columns:
             header.append(column.header or column.estimator)
             series = results.select(column.estimator, column.metric)
-            shown.append(self.printed and any((id(one), column.statistic) in beside for one in series))
+            shown.append(self.printed and any((id(one), column.statistic) in printed_at for one in series))
             header += ["printed"] * shown[-1]
         rows = []
         for label in results.labels(self.rows):
@@ -103,7 +102,7 @@ class Grid(TableSpec):
                     found = next(results.select(column.estimator, column.metric, labels), None)
                     row.append("-" if found is None else self._cell(found, column.statistic))
                     if printed:
-                        verdict = beside.get((id(found), column.statistic))
+                        verdict = printed_at.get((id(found), column.statistic))
                         row.append(f"{verdict.printed.printed} {SIGNS[verdict.word]}" if verdict else "")
                 rows.append(tuple(row))
         notes = [LEGEND, *intervals(verdicts)] if any(shown) else []
@@ -203,15 +202,19 @@ class Rate(TableSpec):
     def slope(self, group: Sequence[Series]) -> tuple[float, float]:
         """Weighted least-squares slope and its standard error, scaled up if the fit is worse than noise.
 
-        Both are nan for fewer than two cases.
+        Points without a logarithm or a standard error do not count; nan if fewer than two are left.
         """
-        if len(group) < 2:
-            # The other cases leave this estimator out.
-            return math.nan, math.nan
-        power = 0.5 if self.root else 1.0
-        x = np.log([float(series.unit.labels[self.axis]) for series in group])
+        x = np.array([float(series.unit.labels[self.axis]) for series in group])
         value = np.array([series.value(self.statistic) for series in group])
         error = np.array([series.standard_error(self.statistic) for series in group])
+        usable = np.isfinite(value) & (value > 0.0) & np.isfinite(error) & (error > 0.0)
+        if len(np.unique(x[usable])) < 2:
+            return float("nan"), float("nan")
+        return self._slope(np.log(x[usable]), value[usable], error[usable])
+
+    def _slope(self, x: Array, value: Array, error: Array) -> tuple[float, float]:
+        """The slope of log ``value`` (K,) by ``x`` (K,) and its standard error, all values positive."""
+        power = 0.5 if self.root else 1.0
         relative = power * error / value
         z = power * np.log(value)
         weight = relative**-2.0
@@ -219,6 +222,6 @@ class Rate(TableSpec):
         information = float(weight @ centred**2)
         slope = float(weight @ (centred * z)) / information
         residual = z - np.average(z, weights=weight) - slope * centred
-        freedom = len(group) - 2
+        freedom = len(x) - 2
         scatter = float(weight @ residual**2) / freedom if freedom > 0 else 1.0
         return slope, float(np.sqrt(max(1.0, scatter) / information))

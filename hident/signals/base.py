@@ -64,6 +64,10 @@ class ExcitationSpec(Component):
         """
         return (Stretch("record", self, n, dt),)
 
+    def before(self) -> float | None:
+        """The level that it says was applied before the record; None if it does not say."""
+        return None
+
     def chooses_start(self) -> bool:
         """Whether it says how an experiment starts, which not every system can follow."""
         return False

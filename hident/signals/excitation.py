@@ -233,7 +233,7 @@ class Staircase(ExcitationSpec):
     hold: Positive
     """Time for which a level is held, in the unit of dt; need not be a multiple of dt."""
     initial: Real | None = None
-    """Level before the record, e.g. 0 (default: the first level)."""
+    """Level before the record, e.g. 0 (default: the first, or nothing if the system starts from rest)."""
 
     def check(self, n: int, dt: float) -> None:
         last = len(self.levels) - 1
@@ -252,6 +252,9 @@ class Staircase(ExcitationSpec):
 
     def waveform(self, n: int, dt: float, rng: np.random.Generator) -> Held:
         return Held(np.arange(float(len(self.levels))) * self.hold, np.array(self.levels), self._before())
+
+    def before(self) -> float | None:
+        return self.initial
 
     def _before(self) -> float:
         return self.levels[0] if self.initial is None else self.initial
@@ -334,6 +337,14 @@ class Filtered(ExcitationSpec):
         if len(self.excitation.stretches(n, dt)) > 1:
             raise ValueError("cannot filter several experiments: filter the excitation of each of them")
         self.excitation.check(n, dt)
+
+    def before(self) -> float | None:
+        if self.linear.initial == "zero":
+            return None
+        if self.linear.initial != "stationary":
+            return next(iter(self.linear.initial), None)
+        driving = self.excitation.before()
+        return None if driving is None else driving * self.linear.transfer_function().static_gain()
 
     def sample(self, n: int, dt: float, rng: np.random.Generator, burn_in: int = 0) -> Array:
         if self.linear.initial != "stationary":

@@ -52,6 +52,18 @@ class SystemSpec(Component):
     def check(self, dt: float | None) -> None:
         """Raise ValueError if the system cannot work at sampling interval ``dt`` (None: discrete time)."""
 
+    def check_before(self, level: float) -> None:
+        """Raise ValueError if it does not start from the equilibrium with a constant input ``level``.
+
+        Unless a system knows better, one with a burn-in does, and any other starts from rest.
+        """
+        if level != 0.0 and not self.follows_waveforms() and not self.burn_in():
+            raise ValueError(
+                f"'initial' names what was applied before the record, but this {self.kind} system starts "
+                "from rest, as if nothing had been: leave it out (discrete blocks that are stationary, and a "
+                "wiener_hammerstein system with continuous blocks, start from the equilibrium)"
+            )
+
     def simulate(self, u: Array, dt: float = 1.0) -> Array:
         """The noise-free response (N,) to ``u`` (N,), sampled every ``dt``, an array of its own.
 

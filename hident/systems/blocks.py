@@ -45,6 +45,10 @@ class _OneLinearBlock(SystemSpec):
 class Hammerstein(_OneLinearBlock):
     """A static nonlinearity, then a linear block."""
 
+    def check_before(self, level: float) -> None:
+        # The linear block, which is at rest, sees the nonlinearity's output.
+        super().check_before(float(self.nonlinearity(np.array([level]))[0]))
+
     def simulate(self, u: Array, dt: float = 1.0) -> Array:
         return self.linear.simulate(self.nonlinearity(u), dt)
 

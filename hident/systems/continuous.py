@@ -22,12 +22,12 @@ from hident.config.spec import Real, component
 from hident.records import Array
 from hident.systems.base import Coefficients, Numerator
 from hident.systems.linear import LinearSpec, TransferFunction
+from hident.systems.settling import settling_time
 
 Complex = NDArray[np.complex128]
 
 # A delay this close to a whole number of sampling intervals, relative to one, is at it.
 _WHOLE = 1e-9
-_SETTLING_POINTS = 4096
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,10 @@ class ContinuousTransferFunction:
     def is_stable(self) -> bool:
         """Whether all poles lie in the left half plane."""
         return bool(np.all(self.poles().real < 0.0))
+
+    def static_gain(self) -> float:
+        """The gain at frequency zero."""
+        return self.b[0]
 
     def values(self) -> dict[str, float]:
         """The parameters by name: a_1, ..., a_n, b_0, ..., b_m."""
@@ -174,17 +178,7 @@ class ContinuousTransferFunction:
         """
         if not self.is_stable() or self.b[0] == 0.0:
             return math.inf
-        slowest = float(np.min(-self.poles().real))
-        # Multiple poles add powers of time to the slowest exponential.
-        horizon = (8.0 - math.log(band) + 4.0 * len(self.a)) / slowest
-        step = horizon / _SETTLING_POINTS
-        block = ContinuousTransferFunction(self.b, self.a)
-        error = np.abs(block.respond(np.ones(_SETTLING_POINTS + 1), step) / self.b[0] - 1.0)
-        outside = np.flatnonzero(error > band)
-        if len(outside) == 0 or outside[-1] == _SETTLING_POINTS:
-            return 0.0 if len(outside) == 0 else math.inf
-        last = int(outside[-1])
-        return float(step * (last + (error[last] - band) / (error[last] - error[last + 1])))
+        return settling_time(self.b, self.a, band)
 
 
 @component("linear", "continuous", source="Chen, Hwang, Chang 2009, eq. (1), (9)")

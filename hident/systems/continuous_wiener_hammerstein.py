@@ -22,8 +22,8 @@ from hident.errors import SimulationError
 from hident.records import Array, Characteristic, Held, Periodic, Waveform
 from hident.systems.continuous import Complex, ContinuousTransferFunction
 
-# The spectrum of f's output must fall to this, relative to its largest line.
-_TAIL = 1e-11
+ACCURACY = 1e-11
+"""Accuracy of the responses: the spectrum of f's output must fall to this, relative to its largest line."""
 _MOST_POINTS = 2**20
 _NEGLIGIBLE = 1e-16
 # A period this close to a whole number of samples, relative to it, is one.
@@ -81,7 +81,7 @@ def respond(
         v = _at_nodes(waveform, edges, nodes)
         u_o = f(_driven(first, lengths, v, before))
         tails = _relative_tails(u_o @ _TO_SERIES.T)
-        rough = tails > _TAIL
+        rough = tails > ACCURACY
         if not rough.any():
             rest = float(f(np.array([first.b[0] * before]))[0])
             return _sampled(edges, _driven(second, lengths, u_o, rest), times)
@@ -91,7 +91,8 @@ def respond(
 
 def _not_smooth(tail: float) -> SimulationError:
     return SimulationError(
-        f"the nonlinearity is not smooth enough to be simulated: relative accuracy {tail:.1g}, not {_TAIL:g}"
+        "the nonlinearity is not smooth enough to be simulated: "
+        f"relative accuracy {tail:.1g}, not {ACCURACY:g}"
     )
 
 
@@ -124,7 +125,7 @@ def _steady_state(
     u_i = signal.amplitudes * first.frequency_response(signal.harmonics.astype(float) * omega)
     points = 1 << int(8 * np.max(signal.harmonics)).bit_length()
     tail = np.inf
-    while tail > _TAIL:
+    while tail > ACCURACY:
         if points > _MOST_POINTS:
             raise _not_smooth(tail)
         spectrum = np.zeros(points // 2 + 1, dtype=complex)

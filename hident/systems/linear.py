@@ -9,6 +9,7 @@ so the transfer function is B(q)/A(q) with A(q) = 1 - a_1 q^-1 - ... - a_p q^-p.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import PlainValidator, TypeAdapter, WithJsonSchema, field_validator, model_validator
 
 from hident.config.spec import Component, Real, component
+from hident.numerics.choices import ROUNDING
 from hident.records import Array
 from hident.systems.base import Coefficients, Numerator
 
@@ -31,6 +33,12 @@ _SLOWEST = 0.99999
 
 def _roots(polynomial: Array) -> NDArray[np.complex128]:
     return np.roots(polynomial).astype(np.complex128)
+
+
+def _sum(terms: Array) -> float:
+    """The sum of the terms, zero where it is no more than their rounding."""
+    total = float(np.sum(terms))
+    return total if abs(total) > ROUNDING * float(np.sum(np.abs(terms))) else 0.0
 
 
 @dataclass(frozen=True)
@@ -60,6 +68,11 @@ class TransferFunction:
     def is_stable(self) -> bool:
         """Whether all poles lie inside the unit circle."""
         return self.radius() < 1.0
+
+    def static_gain(self) -> float:
+        """The gain at frequency zero: exactly zero where it is rounding, infinite for an integrator."""
+        top, bottom = (_sum(np.asarray(c, dtype=float)) for c in (self.b, self.denominator))
+        return top / bottom if bottom else math.inf
 
     def inverse(self) -> TransferFunction:
         """The block A/B that undoes this one.

@@ -182,7 +182,7 @@ class TestProperties:
     )
     def test_the_settling_time_of_one_pole_is_known(self, tau, band, gain, delay):
         block = ContinuousTransferFunction((-gain,), (tau,), delay)
-        assert block.settling_time(band) == pytest.approx(-tau * np.log(band), rel=1e-3)
+        assert block.settling_time(band) == pytest.approx(-tau * np.log(band), rel=1e-12)
 
     @pytest.mark.parametrize(
         "block",

@@ -75,7 +75,7 @@ class TestLinearPercentError:
 
     def test_takes_either_kind_of_block(self):
         metric = LinearPercentError()
-        assert metric.step == 1.0
+        assert metric.step is None
         assert metric.needs_of_estimate() == {"linear or continuous"}
         assert metric.needs_of_truth() == {"continuous"}
         with pytest.raises(ValidationError, match="must be greater than 0"):

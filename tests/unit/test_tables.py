@@ -19,7 +19,7 @@ tables:
     row_header: N
     columns: [{estimator: one, metric: mise}, {estimator: two, metric: mise, statistic: spread}]
 """
-AXES = "  gain:\n    small: {system.linear.b0: 1}\n    large: {system.linear.b0: 2}\n"
+AXES = "  pole:\n    small: {system.linear.a: [0.1]}\n    large: {system.linear.a: [0.2]}\n"
 
 
 def built(results, name="t"):
@@ -69,7 +69,7 @@ def test_printed_numbers_stand_beside_their_own_statistic_only(tmp_path):
 
 def test_other_axes_go_down_with_the_rows(tmp_path):
     table = built(made(tmp_path, {}, rest=GRID, axes=AXES))
-    assert table.header[0] == "N, gain"
+    assert table.header[0] == "N, pole"
     assert [row[0] for row in table.rows][:3] == ["10, small", "10, large", "100, small"]
 
 

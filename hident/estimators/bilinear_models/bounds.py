@@ -13,6 +13,7 @@ from hident.estimators.bilinear_models.bilinear import Regression, identity
 from hident.estimators.bilinear_models.bilinear_least_squares import covariance_root
 from hident.estimators.bilinear_models.known_basis import BilinearSpec
 from hident.estimators.bilinear_models.two_stage import KnownAr, WeightedSpec
+from hident.estimators.normalisation import Normalisation, known_function
 from hident.records import Array, Estimate, Record
 from hident.systems.base import NonlinearitySpec
 
@@ -60,6 +61,9 @@ class KnownNonlinearity(WeightedSpec):
 
     def functions(self) -> tuple[NonlinearitySpec, ...]:
         return (self.nonlinearity,)
+
+    def normalisations(self) -> tuple[Normalisation, ...]:
+        return (known_function("the nonlinearity is the given one", self.nonlinearity),)
 
     def provides(self) -> frozenset[str]:
         names = self.b_names()

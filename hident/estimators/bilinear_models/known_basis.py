@@ -15,6 +15,7 @@ from hident.config.spec import Count, Of
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, require_finite
 from hident.estimators.bilinear_models.bilinear import Regression, lengths, normalised, regressors
+from hident.estimators.normalisation import Normalisation, unit_length
 from hident.records import Array, Record
 from hident.systems.base import NonlinearitySpec
 from hident.systems.linear import TransferFunction
@@ -122,6 +123,9 @@ class BilinearSpec(LaggedSpec):
             return self.basis
         assert self.degree is not None  # by validation
         return tuple(Power(exponent=j) for j in range(1, self.degree + 1))
+
+    def normalisations(self) -> tuple[Normalisation, ...]:
+        return (unit_length(self.delay, self.lags, "a b"),)
 
     def true_parameters(self, record: Record) -> tuple[Array, Array]:
         """b and a of the simulated system, normalised.

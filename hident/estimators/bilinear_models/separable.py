@@ -30,6 +30,7 @@ from hident.estimators.bilinear_models.bilinear_least_squares import (
 from hident.estimators.bilinear_models.known_basis import BilinearSpec
 from hident.estimators.bilinear_models.two_stage import two_stage
 from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
+from hident.estimators.normalisation import Normalisation, unit_length
 from hident.records import Array, Estimate, Record
 from hident.systems.linear import TransferFunction
 
@@ -215,6 +216,9 @@ class SeparableLeastSquares(BilinearSpec):
 
     def fewest_samples(self) -> int:
         return super().fewest_samples() + 2 * self.feedback
+
+    def normalisations(self) -> tuple[Normalisation, ...]:
+        return (unit_length(self.delay, self.lags, "b c"),)
 
     def provides(self) -> frozenset[str]:
         values = {f"value {prefix}{name}" for name in self._parameters() for prefix in ("", "se_")}

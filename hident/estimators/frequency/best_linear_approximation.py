@@ -14,6 +14,7 @@ from hident.config.spec import Count, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, require_finite
 from hident.estimators.frequency.harmonics import samples_per_period
+from hident.estimators.normalisation import Normalisation
 from hident.records import Array, Estimate, Periodic, Record
 
 Complex = NDArray[np.complex128]
@@ -105,6 +106,10 @@ class BestLinear(EstimatorSpec):
     def provides(self) -> frozenset[str]:
         quantities = ("gain", "phase", "noise", "total", "distortion")
         return frozenset(f"value {quantity}_{k}" for quantity in quantities for k in self.harmonics)
+
+    def normalisations(self) -> tuple[Normalisation, ...]:
+        # It knows both blocks' gains together only.
+        return ()
 
     def check_record(self, record: Record) -> None:
         self._periods(record)

@@ -30,6 +30,7 @@ from hident.estimators.frequency.nonlinearity_identification import (
 )
 from hident.estimators.frequency.sine_responses import SineResponses, match_frequencies
 from hident.estimators.frequency.staircase_levels import PolynomialFit
+from hident.estimators.normalisation import Normalisation, unit_static_gain
 from hident.records import Array, Estimate, Part, Periodic, Record
 from hident.signals.experiments import LogSpaced
 from hident.systems.base import Coefficients
@@ -168,6 +169,9 @@ class FrequencyGainIdentification(EstimatorSpec):
 
     def _outputs(self, quantity: str, side: str = "_o") -> list[str]:
         return [f"{quantity}{side}_{m}_{k}" for m, _ in self._numbered() for k in range(1, self.order + 1)]
+
+    def normalisations(self) -> tuple[Normalisation, ...]:
+        return (unit_static_gain("c input_b output_b"),)
 
     def check(self, n: int, dt: float | None) -> None:
         if dt is None:

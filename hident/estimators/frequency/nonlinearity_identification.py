@@ -20,6 +20,7 @@ from hident.estimators.frequency.staircase_levels import (
     rise_time,
     settled_levels,
 )
+from hident.estimators.normalisation import Normalisation, unit_static_gain
 from hident.records import Array, Estimate, Held, Part, Record
 from hident.systems.nonlinearity import Polynomial
 
@@ -77,6 +78,9 @@ class NonlinearityIdentification(EstimatorSpec):
 
     def fewest_samples(self) -> int:
         return 8 * (self.degree + 1)
+
+    def normalisations(self) -> tuple[Normalisation, ...]:
+        return (unit_static_gain("c"),)
 
     def check_record(self, record: Record) -> None:
         distinct = len(np.unique(_levels_of(self._part(record))))

@@ -29,6 +29,7 @@ from hident.estimators.moving_horizon.partition import require_inside
 from hident.estimators.moving_horizon.sandwich import influence, standard_errors
 from hident.estimators.moving_horizon.searches import StructureSearch, found_searches
 from hident.estimators.moving_horizon.static_functions import ThreeSegmentFunction
+from hident.estimators.normalisation import Normalisation, unit_static_gain
 from hident.records import Estimate, Record
 
 # Section 5: the polynomial that a first structure is found with.
@@ -58,6 +59,9 @@ class IterativeHammerstein(IterativeSpec):
         if isinstance(self.nonlinearity, ThreeSegment):
             names += ["u_-1", "u_1"]
         return frozenset({"nonlinearity", "continuous", "response"} | {f"value {name}" for name in names})
+
+    def normalisations(self) -> tuple[Normalisation, ...]:
+        return (unit_static_gain(),)
 
     def check_record(self, record: Record) -> None:
         if isinstance(self.nonlinearity, ThreeSegment):

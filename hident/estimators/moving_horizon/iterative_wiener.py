@@ -30,6 +30,7 @@ from hident.estimators.moving_horizon.wiener_stage import (
     WienerStage,
     first_stage,
 )
+from hident.estimators.normalisation import Normalisation, unit_slope, unit_static_gain
 from hident.records import Array, Characteristic, Estimate, Record
 from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.nonlinearity import PiecewiseLinear
@@ -93,6 +94,10 @@ class IterativeWiener(IterativeSpec):
         if isinstance(self.nonlinearity, FourSegmentSpec):
             names += self.error_names(0)
         return frozenset({"nonlinearity", "continuous", "response"} | {f"value {name}" for name in names})
+
+    def normalisations(self) -> tuple[Normalisation, ...]:
+        # The values are those of the iteration, which holds the inverse's slope e_1.
+        return (unit_static_gain(values=""), unit_slope("e_1 = 1", "b e"))
 
     def check_record(self, record: Record) -> None:
         if isinstance(self.nonlinearity, FourSegmentSpec):

@@ -16,6 +16,7 @@ from hident.estimators.moving_horizon.iterative import (
     under,
 )
 from hident.estimators.moving_horizon.linear_transform import SecondStageSpec
+from hident.estimators.normalisation import Normalisation, known_function
 from hident.records import Estimate, Record
 
 
@@ -42,6 +43,9 @@ class LinearModel(MovingHorizonSpec):
     def check_horizons(self, n: int, dt: float) -> None:
         with under("block"):
             self.block.check(n, dt, self.start, gain=True)
+
+    def normalisations(self) -> tuple[Normalisation, ...]:
+        return (known_function("the nonlinearity is u", np.positive),)
 
     def provides(self) -> frozenset[str]:
         n = self.block.most

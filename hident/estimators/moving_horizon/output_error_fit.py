@@ -17,6 +17,7 @@ from hident.estimators.moving_horizon.iterative_wiener import IterativeWiener, W
 from hident.estimators.moving_horizon.output_error import Refinement, refine_hammerstein, refine_wiener
 from hident.estimators.moving_horizon.static_functions import PolynomialFunction, ThreeSegmentFunction
 from hident.estimators.moving_horizon.wiener_stage import FourSegmentSpec
+from hident.estimators.normalisation import Normalisation
 from hident.records import Estimate, Record
 
 
@@ -50,6 +51,9 @@ class OutputError(EstimatorSpec):
 
     def check(self, n: int, dt: float | None) -> None:
         self.start.check(n, dt)
+
+    def normalisations(self) -> tuple[Normalisation, ...] | None:
+        return self.start.normalisations()
 
     def check_record(self, record: Record) -> None:
         self.start.check_record(record)

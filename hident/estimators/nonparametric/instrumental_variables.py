@@ -18,6 +18,7 @@ from hident.config.spec import Count, Of, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, require_finite
 from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED, dynamics, lagged
+from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.records import Array, Estimate, Record
 from hident.systems.base import NonlinearitySpec
 
@@ -113,6 +114,9 @@ class InstrumentalVariables(EstimatorSpec):
 
     def fewest_samples(self) -> int:
         return 2 * self.order + self.ma_order + 1
+
+    def normalisations(self) -> tuple[Normalisation, ...]:
+        return (first_coefficient(),)
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         return instrumental_variables(record.y, self.instrument(record.u), self.order, self.ma_order)

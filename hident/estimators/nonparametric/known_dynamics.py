@@ -8,6 +8,7 @@ import numpy as np
 
 from hident.config.spec import component
 from hident.estimators.base import EstimatorSpec
+from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.records import Estimate, Record
 from hident.systems.base import Coefficients, Numerator
 from hident.systems.linear import TransferFunction
@@ -32,6 +33,10 @@ class KnownDynamics(EstimatorSpec):
 
     def fewest_samples(self) -> int:
         return len(self.a) + 1
+
+    def normalisations(self) -> tuple[Normalisation, ...]:
+        lag = next(i for i, b in enumerate(self.b) if b)
+        return (first_coefficient(lag, self.b[lag]),)
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         block = self._block()

@@ -13,6 +13,7 @@ from pydantic import Field
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, require_finite
+from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.records import Array, Estimate, Record
 from hident.systems.linear import TransferFunction
 
@@ -98,6 +99,9 @@ class LeastSquares(EstimatorSpec):
 
     def fewest_samples(self) -> int:
         return 2 * self.order + 1
+
+    def normalisations(self) -> tuple[Normalisation, ...]:
+        return (first_coefficient(),)
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         return least_squares(record.y, self.order)

@@ -15,6 +15,7 @@ from hident.config.spec import Component, Of, Real, Spec, components
 from hident.config.suggest import one_of
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec
+from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.records import Array, Characteristic, Estimate, Record
 from hident.systems.linear import TransferFunction
 
@@ -147,6 +148,14 @@ class NonparametricSpec(EstimatorSpec):
 
     def fewest_samples(self) -> int:
         return self.prefilter.fewest_samples() if self.prefilter else 1
+
+    def normalisations(self) -> tuple[Normalisation, ...] | None:
+        if self.prefilter is not None:
+            return self.prefilter.normalisations()
+        # The regression on the newest input: gamma_0 times the characteristic, and the mean of all the rest.
+        plain = first_coefficient(symbol="gamma")
+        left_in = "" if self.known_point else ", a constant left in"
+        return (replace(plain, rule=plain.rule + left_in),)
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         dynamics = self.prefilter.fit(record, rng) if self.prefilter else Estimate()

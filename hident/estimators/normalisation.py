@@ -1,0 +1,164 @@
+"""How methods fix what no data determine: the factor between the blocks.
+
+Multiply the linear block by a factor and divide the nonlinearity by it, and no output changes. So every
+method fixes the factor by a rule of its own, and absolute values can be compared with those of a true system
+only where that keeps the rule too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hident.records import Array, Characteristic, Truth
+from hident.systems.continuous import ContinuousTransferFunction
+from hident.systems.linear import TransferFunction
+
+CLOSE = 1e-4
+"""A factor this close to one counts as one: a coefficient that is written with four digits."""
+# Where functions are compared: both signs, small and large.
+_PROBES = np.concatenate((-np.geomspace(1e3, 1e-3, 61), np.geomspace(1e-3, 1e3, 61)))
+_PROPORTIONAL = 1e-9
+# A step at zero over which a difference quotient is the slope to 1e-5 for a curvature of one.
+_STEP = 1e-6
+
+Factors = Mapping[str, float]
+"""What each block of a system must be divided by to keep a rule, by its place: ``linear``, ``nonlinearity``,
+``input`` and ``output``."""
+
+
+@dataclass(frozen=True)
+class Normalisation:
+    """A rule that fixes the factor between the blocks, and the parts of an estimate that it governs.
+
+    ``parts`` are spelled as an estimator provides them, values by their letter (``value b`` for b_0, b_1,
+    ...). ``factors`` takes a true system and the sampling interval (None: discrete time); it gives None where
+    the system does not say, and raises ValueError if nothing brings the system to the rule.
+    """
+
+    rule: str
+    parts: frozenset[str]
+    factors: Callable[[Truth, float | None], Factors | None]
+
+    def governs(self, part: str) -> bool:
+        """Whether a part, such as ``nonlinearity`` or ``value b_1``, depends on the rule."""
+        return part in self.parts or part.rpartition("_")[0] in self.parts
+
+
+def _parts(values: str, *parts: str) -> frozenset[str]:
+    return frozenset({*parts, *(f"value {letter}" for letter in values.split())})
+
+
+_BOTH = ("nonlinearity", "linear", "continuous")
+
+
+def unit_static_gain(values: str = "b c") -> Normalisation:
+    """All linear blocks have the static gain 1."""
+    return Normalisation("static gain 1", _parts(values, *_BOTH), lambda truth, dt: _static_gains(truth))
+
+
+def unit_length(delay: int, lags: int, values: str) -> Normalisation:
+    """The numerator's coefficients b (lags,), from the lag ``delay`` on, have length 1 and start positive."""
+    span = f"b_{delay}" if lags == 1 else f"b_{delay} to b_{delay + lags - 1}"
+
+    def factors(truth: Truth, dt: float | None) -> Factors | None:
+        block = _discrete(truth, dt)
+        if block is None:
+            return None
+        b = np.zeros(delay + lags)
+        b[: len(block.b)] = block.b[: len(b)]
+        b = b[delay:]
+        if b[0] == 0.0:
+            found = "are zero" if not np.any(b) else f"begin with zero, and noise gives b_{delay} a sign"
+            raise ValueError(f"the system's {span} {found}: set the estimator's delay to the system's")
+        return {"linear": float(np.copysign(np.linalg.norm(b), b[0]))}
+
+    return Normalisation(f"|b| = 1, b_{delay} > 0", _parts(values, *_BOTH), factors)
+
+
+def first_coefficient(
+    lag: int = 0, value: float = 1.0, values: str = "b", step: float | None = None, symbol: str = "b"
+) -> Normalisation:
+    """The coefficient b of a lag is given; of a continuous block sampled every ``step`` (default: dt)."""
+    name = f"{symbol}_{lag}"
+
+    def factors(truth: Truth, dt: float | None) -> Factors | None:
+        block = _discrete(truth, step or dt)
+        if block is None:
+            return None
+        found = block.b[lag] if lag < len(block.b) else 0.0
+        if found == 0.0:
+            raise ValueError(
+                f"the system has {name} = 0, which no factor makes {value:g}: its block delays the input more"
+            )
+        return {"linear": found / value}
+
+    return Normalisation(f"{name} = {value:g}", _parts(values, *_BOTH), factors)
+
+
+def unit_slope(rule: str, values: str, *parts: str) -> Normalisation:
+    """The nonlinearity rises from zero to the right with the slope 1."""
+
+    def factors(truth: Truth, dt: float | None) -> Factors | None:
+        if truth.nonlinearity is None:
+            return None
+        with np.errstate(all="ignore"):
+            at_zero, beside = truth.nonlinearity(np.array([0.0, _STEP]))
+            slope = float(beside - at_zero) / _STEP
+        if not np.isfinite(slope) or slope == 0.0:
+            raise ValueError(
+                f"the system's nonlinearity has the slope {slope:g} at zero, which no factor makes 1"
+            )
+        return {"nonlinearity": slope}
+
+    return Normalisation(rule, _parts(values, *parts), factors)
+
+
+def known_function(rule: str, known: Characteristic, values: str = "b") -> Normalisation:
+    """The nonlinearity is the known one, and the linear block holds the rest of the gain."""
+
+    def factors(truth: Truth, dt: float | None) -> Factors | None:
+        if truth.nonlinearity is None:
+            return None
+        with np.errstate(all="ignore"):
+            ratio = _ratio(truth.nonlinearity(_PROBES), known(_PROBES))
+        if ratio is None:
+            raise ValueError("the system's nonlinearity is not a multiple of it")
+        return {"nonlinearity": ratio}
+
+    return Normalisation(rule, _parts(values, *_BOTH), factors)
+
+
+def _ratio(one: Array, other: Array) -> float | None:
+    """The number by which ``other`` (K,) must be multiplied to give ``one`` (K,); None if there is none."""
+    both = np.isfinite(one) & np.isfinite(other)
+    one, other = one[both], other[both]
+    if np.array_equal(one, other):
+        return 1.0
+    used = (one != 0.0) | (other != 0.0)
+    with np.errstate(all="ignore"):
+        ratios = one[used] / other[used]
+    if not np.all(np.isfinite(ratios)) or not np.all(ratios):
+        return None
+    ratio = float(np.median(ratios))
+    return ratio if np.all(np.abs(ratios - ratio) <= _PROPORTIONAL * abs(ratio)) else None
+
+
+def _discrete(truth: Truth, dt: float | None) -> TransferFunction | None:
+    """The linear block as its samples see it."""
+    if truth.linear is not None:
+        return truth.linear
+    return None if truth.continuous is None else truth.continuous.sampled(dt or 1.0)
+
+
+def _static_gains(truth: Truth) -> Factors | None:
+    blocks: dict[str, TransferFunction | ContinuousTransferFunction] = {**truth.blocks}
+    if block := truth.continuous or truth.linear:
+        blocks["linear"] = block
+    gains = {place: block.static_gain() for place, block in blocks.items()}
+    for place, gain in gains.items():
+        if gain == 0.0 or not np.isfinite(gain):
+            raise ValueError(f"the system's {place} block has no static gain")
+    return gains or None
