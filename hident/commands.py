@@ -18,7 +18,7 @@ from hident import plugins
 from hident.config.spec import PLURALS, components, json_schema
 from hident.config.suggest import did_you_mean, one_of
 from hident.engine.experiment import Experiment, Plan, load
-from hident.engine.runner import CrashReport, stored, unit_key
+from hident.engine.runner import CrashReport, complete, stored
 from hident.engine.store import Store
 from hident.errors import ConfigError, Exit, StoreError
 
@@ -240,7 +240,7 @@ def print_status(plans: Sequence[Plan], place: Place) -> None:
         outputs = state(folder, output_key(plan, seed, trials))
         rows.append((plan.name, str(done), str(trials * len(plan.units)), outputs))
     _print_columns(rows)
-    print(f"{store.path}: {store.count()} trials in all")
+    print(f"{store.path}: {store.count()} scores in all")
 
 
 def print_comparison(ours: Path, reference: Path, rtol: float, *, complete: bool) -> Exit:
@@ -292,8 +292,8 @@ def export(plan: Plan, folder: Path, file: Path) -> str:
     if file.suffix not in (".csv", ".parquet"):
         raise ConfigError(f"{file}: the name must end in .csv or .parquet")
     trials, seed = plan.experiment.trials, plan.experiment.seed
-    keys = [unit_key(unit, seed) for unit in plan.units]
-    found = Store(folder).read(keys, trials)
+    keys = [unit.keys(seed) for unit in plan.units]
+    found = Store(folder).read({key for of_unit in keys for key in of_unit.values()}, trials)
     rows: list[dict[str, Any]] = [
         {
             **unit.labels,
@@ -303,9 +303,10 @@ def export(plan: Plan, folder: Path, file: Path) -> str:
             "value": value,
             "failure": trial.failure,
         }
-        for unit, key in zip(plan.units, keys, strict=True)
-        for trial in found[key]
-        for label, value in zip(unit.metric_labels, trial.values, strict=True)
+        for unit, of_unit in zip(plan.units, keys, strict=True)
+        for name, metric in unit.metrics.items()
+        for trial in found[of_unit[name]]
+        for label, value in zip(metric.labels(name), trial.values, strict=True)
     ]
     axes = [axis.name for axis in plan.axes]
     data = pd.DataFrame(rows, columns=[*axes, "estimator", "trial", "metric", "value", "failure"])
@@ -324,6 +325,6 @@ def export(plan: Plan, folder: Path, file: Path) -> str:
     finally:
         temporary.unlink(missing_ok=True)
     wanted = trials * len(plan.units)
-    done = sum(len(found[key]) for key in keys)
+    done = sum(complete(found, of_unit) for of_unit in keys)
     missing = "" if done == wanted else f"; {wanted - done} trials are not computed yet (hident run)"
     return f"{file}: {len(data)} rows of {done} trials{missing}"

@@ -12,12 +12,13 @@ from typing import Any
 from pydantic import ValidationError
 
 from hident.config.load import Document, Problem, problems_of
-from hident.config.spec import Of
+from hident.config.spec import Of, canonical
 from hident.config.suggest import one_of
 from hident.config.yaml12 import Complaint, Location
 from hident.engine.cases import DATA, Axis, Label
 from hident.engine.comparable import incomparable
-from hident.engine.trial import Data
+from hident.engine.fingerprint import fingerprint, libraries
+from hident.engine.trial import Data, digest
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec, Scored
 
@@ -37,6 +38,36 @@ class Unit:
     @cached_property
     def metric_labels(self) -> tuple[str, ...]:
         return tuple(label for name, metric in self.metrics.items() for label in metric.labels(name))
+
+    @cached_property
+    def _identities(self) -> dict[str, str]:
+        """For each metric, a hash of what its numbers depend on besides the seed and the trial."""
+        data, estimator = self.data, canonical(self.estimator)
+        around = (data.system, data.excitation, *data.noise, data.streams, self.estimator)
+        return {
+            name: digest(
+                {
+                    "data": str(data.key),
+                    "estimator": estimator,
+                    # The names of the estimators that it is for change no number.
+                    "metric": {key: v for key, v in canonical(metric).items() if key != "estimators"},
+                    "code": fingerprint((*around, metric)),
+                    "libraries": libraries(),
+                }
+            )
+            for name, metric in self.metrics.items()
+        }
+
+    def keys(self, seed: int, perturbation: int = 0) -> dict[str, str]:
+        """For each metric, the key of its stored trials: data, estimator, metric, code, seed, perturbation.
+
+        The metric's name is no part of it, nor are the unit's other metrics.
+        """
+        perturbed = {"perturbation": perturbation} if perturbation else {}
+        return {
+            name: digest({"of": identity, "seed": seed, **perturbed})
+            for name, identity in self._identities.items()
+        }
 
     def is_at(self, labels: Mapping[str, Any]) -> bool:
         """Whether it stands at these labels; an axis that does not touch it does not count."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import itertools
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -18,18 +21,20 @@ if TYPE_CHECKING:
     import pandas as pd
 
 QUANTILES = {"q05": 0.05, "q25": 0.25, "q75": 0.75, "q95": 0.95}
+# A number, but not the one in a name such as a_1 or x2.
+_NUMBER = re.compile(r"(?<![\w.])[+-]?(?:\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+|nan\b|inf\b)")
 STATISTICS = ("trials", "failed", "mean", "std", "se", "median", *QUANTILES)
 
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One metric of one unit over all trials; nan where the trial failed."""
+    """One label of a metric of one unit over all trials; nan where the trial failed."""
 
     unit: Unit
     metric: str
     values: Array
-    failure: str = ""
-    """Why the first failed trial failed, if an estimate did."""
+    reasons: tuple[tuple[str, int], ...] = ()
+    """Why trials failed: each kind of reason, with the number of its trials (see :func:`grouped`)."""
 
     @cached_property
     def valid(self) -> Array:
@@ -80,6 +85,32 @@ class Series:
                 # From the order statistics two standard errors (of a rank) either side of the median.
                 low, high = np.quantile(valid, np.clip(0.5 + np.array([-1.0, 1.0]) / np.sqrt(n), 0.0, 1.0))
                 return float(high - low) / 4.0
+
+
+def grouped(reasons: Iterable[str]) -> tuple[tuple[str, int], ...]:
+    """The kinds of reasons with their counts, the most frequent first.
+
+    Reasons that differ in their numbers only are of one kind, and a number in which they differ is shown as
+    three dots.
+
+    Examples
+    --------
+    >>> grouped(["stopped at t = 3", "singular", "stopped at t = 4.5"])
+    (('stopped at t = ...', 2), ('singular', 1))
+    """
+    kinds: dict[str, Counter[str]] = {}
+    for text, count in Counter(reasons).items():
+        kinds.setdefault(_NUMBER.sub("\0", text), Counter())[text] = count
+    shown = [(_in_common(tuple(texts)), texts.total()) for texts in kinds.values()]
+    return tuple(sorted(shown, key=lambda kind: -kind[1]))
+
+
+def _in_common(texts: Sequence[str]) -> str:
+    """Texts that differ in their numbers only, as one text."""
+    words = _NUMBER.split(texts[0])
+    numbers = [set(column) for column in zip(*map(_NUMBER.findall, texts), strict=True)]
+    shown = [found.pop() if len(found) == 1 else "..." for found in numbers]
+    return "".join(itertools.chain(*itertools.zip_longest(words, shown, fillvalue="")))
 
 
 @dataclass(frozen=True, eq=False)

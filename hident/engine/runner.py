@@ -6,21 +6,21 @@ import itertools
 import signal
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hident.config.spec import Spec, canonical
 from hident.engine.experiment import Plan, Unit
-from hident.engine.fingerprint import fingerprint, libraries
-from hident.engine.results import Results, Series
+from hident.engine.results import Results, Series, grouped
 from hident.engine.store import Store, Trial, Writer
-from hident.engine.trial import Data, Job, Outcome, digest, run_trials
-from hident.errors import StoreError, TrialsCrashed
+from hident.engine.trial import OF_METRIC, Data, Job, Outcome, run_trials
+from hident.errors import TrialsCrashed
+from hident.records import Array
 
 _CHUNK_SECONDS = 0.25
 _POLL_SECONDS = 0.1
@@ -65,57 +65,16 @@ class Crash:
     traceback: str
 
 
-@dataclass
-class _Case:
-    """The units that share one set of data, and the trials of each that are stored."""
-
-    data: Data
-    units: list[int] = field(default_factory=list)
-    found: list[set[int]] = field(default_factory=list)
-    seconds: float = 0.0
-    """Measured seconds for one trial."""
-
-    def wanted(self, trials: int) -> Iterator[tuple[int, list[int]]]:
-        """Each trial that some unit misses, with the places of those units."""
-        for trial in range(trials):
-            missing = [place for place, found in enumerate(self.found) if trial not in found]
-            if missing:
-                yield trial, missing
-
-
-def unit_key(unit: Unit, seed: int) -> str:
-    """The key of a unit's trials: everything that their numbers depend on, besides the trial."""
-    data, metrics = unit.data, tuple(unit.metrics.values())
-    parts: tuple[Spec, ...] = (
-        data.system,
-        data.excitation,
-        *data.noise,
-        data.streams,
-        unit.estimator,
-        *metrics,
-    )
-    return digest(
-        {
-            "data": canonical(data),
-            "estimator": canonical(unit.estimator),
-            "metrics": canonical([_numbers(metric) for metric in metrics]),
-            "seed": seed,
-            "code": fingerprint(parts),
-            "libraries": libraries(),
-        }
-    )
-
-
-def _numbers(metric: Spec) -> Any:
-    """A metric without the names of the estimators that it is for, which change no number."""
-    return {name: value for name, value in canonical(metric).items() if name != "estimators"}
-
-
 def stored(plan: Plan, store: Store, trials: int, seed: int) -> list[int]:
-    """For each unit, how many of its trials the store holds."""
-    keys = [unit_key(unit, seed) for unit in plan.units]
-    found = store.read(keys, trials)
-    return [len(found[key]) for key in keys]
+    """For each unit, how many of its trials the store holds with the scores of all metrics."""
+    keys = [unit.keys(seed) for unit in plan.units]
+    found = store.read({key for of_unit in keys for key in of_unit.values()}, trials)
+    return [complete(found, of_unit) for of_unit in keys]
+
+
+def complete(found: Mapping[str, Iterable[Trial]], keys: Mapping[str, str]) -> int:
+    """How many trials are found under every one of a unit's keys."""
+    return len(set.intersection(*({trial.trial for trial in found[key]} for key in keys.values())))
 
 
 def run(
@@ -126,10 +85,14 @@ def run(
     *,
     trials: int,
     seed: int,
+    perturbation: int = 0,
     keep_going: bool = False,
     progress: Progress | None = None,
 ) -> Results:
-    """Compute the missing trials of all units and return all trials.
+    """Compute the missing scores of all units and return all trials.
+
+    With a ``perturbation`` k > 0, the records are those of :func:`hident.engine.trial.generate` a last bit
+    away, and the scores are stored under keys of their own.
 
     Raises
     ------
@@ -141,13 +104,12 @@ def run(
         At Ctrl-C; with several workers when the chunks in flight are stored, and at a second one at once.
     """
     progress = progress or Silent()
-    keys = [unit_key(unit, seed) for unit in plan.units]
-    found = {key: {t.trial for t in writer.trials(key, trials)} for key in keys}
-    cases = _cases(plan.units, [found[key] for key in keys])
-    done = sum(len(found[key]) for key in keys)
-    progress.start(len(keys) * trials, done)
+    units = [_UnitTrials(unit, unit.keys(seed, perturbation), trials) for unit in plan.units]
+    for unit in units:
+        unit.read(writer, trials)
+    progress.start(len(units) * trials, sum(unit.complete() for unit in units))
     try:
-        _compute(plan, keys, cases, trials, writer, executor, workers, seed, keep_going, progress)
+        _Computation(plan, units, writer, seed, perturbation, progress).go(executor, workers, keep_going)
     except BrokenExecutor:
         raise TrialsCrashed(
             "a worker process ended abruptly: it was killed, perhaps for want of memory, or an estimator "
@@ -155,91 +117,211 @@ def run(
         ) from None
     finally:
         progress.finish()
-    series: list[Series] = []
-    for unit, key in zip(plan.units, keys, strict=True):
-        columns = np.full((len(unit.metric_labels), trials), np.nan)
-        failure, read = "", 0
-        for trial in writer.trials(key, trials):
-            columns[:, trial.trial] = trial.values
-            failure, read = failure or trial.failure, read + 1
-        if read < trials:
-            raise StoreError("the trials store was changed while the run was going: run again")
-        series += [
-            Series(unit, label, values, failure)
-            for label, values in zip(unit.metric_labels, columns, strict=True)
+    return Results(plan, seed, trials, tuple(series for unit in units for series in unit.series()))
+
+
+class _Scores:
+    """All trials of one metric of one unit; nan, and not ``there``, as long as they are missing."""
+
+    def __init__(self, labels: Sequence[str], trials: int) -> None:
+        self.labels = labels
+        self.values = np.full((len(labels), trials), np.nan)
+        self.there = np.zeros(trials, dtype=bool)
+        self._failures: dict[int, str] = {}
+
+    def put(self, trial: Trial) -> None:
+        self.values[:, trial.trial] = trial.values
+        self.there[trial.trial] = True
+        if trial.failure:
+            self._failures[trial.trial] = trial.failure
+
+    def series(self, unit: Unit) -> Iterator[Series]:
+        for label, values in zip(self.labels, self.values, strict=True):
+            yield Series(unit, label, values, grouped(self._reasons(label, values)))
+
+    def _reasons(self, label: str, values: Array) -> Iterator[str]:
+        for trial in np.flatnonzero(~np.isfinite(values)):
+            failure = self._failures.get(int(trial)) or f"{OF_METRIC}the value is {values[trial]}"
+            yield f"{label}: {failure.removeprefix(OF_METRIC)}" if failure.startswith(OF_METRIC) else failure
+
+
+class _UnitTrials:
+    """One unit with the scores of its metrics, by their names."""
+
+    def __init__(self, unit: Unit, keys: Mapping[str, str], trials: int) -> None:
+        self.unit, self.keys = unit, keys
+        self._scores = {name: _Scores(metric.labels(name), trials) for name, metric in unit.metrics.items()}
+
+    def read(self, writer: Writer, trials: int) -> None:
+        for name, scores in self._scores.items():
+            for trial in writer.trials(self.keys[name], trials):
+                scores.put(trial)
+
+    def complete(self) -> int:
+        """How many trials have the scores of all metrics."""
+        return int((~self.trials_missing()).sum())
+
+    def missing(self, trial: int) -> tuple[str, ...]:
+        """The metrics that the trial lacks."""
+        return tuple(name for name, scores in self._scores.items() if not scores.there[trial])
+
+    def trials_missing(self) -> NDArray[np.bool_]:
+        """Whether each trial lacks any metric."""
+        return ~np.all([scores.there for scores in self._scores.values()], axis=0)
+
+    def put(self, name: str, trial: Trial) -> None:
+        self._scores[name].put(trial)
+
+    def series(self) -> Iterator[Series]:
+        for scores in self._scores.values():
+            yield from scores.series(self.unit)
+
+
+@dataclass
+class _Case:
+    """The units that share one set of data."""
+
+    data: Data
+    units: list[_UnitTrials] = field(default_factory=list)
+    seconds: float = 0.0
+    """Measured seconds for one trial."""
+
+
+@dataclass
+class _Chunk:
+    """Some trials of a case: each task is a unit with the metrics that some of them lack."""
+
+    case: _Case
+    tasks: list[tuple[_UnitTrials, tuple[str, ...]]]
+    wanted: dict[int, list[int]]
+    """For each trial the tasks that it is for."""
+
+    @classmethod
+    def of(cls, case: _Case, trials: Iterable[int]) -> _Chunk:
+        places: dict[tuple[int, tuple[str, ...]], int] = {}
+        wanted = {
+            trial: [
+                places.setdefault((i, missing), len(places))
+                for i, unit in enumerate(case.units)
+                if (missing := unit.missing(trial))
+            ]
+            for trial in trials
+        }
+        return cls(case, [(case.units[i], missing) for i, missing in places], wanted)
+
+    def jobs(self) -> list[Job]:
+        return [
+            Job(task.unit.estimator, tuple(task.unit.metrics[name] for name in names))
+            for task, names in self.tasks
         ]
-    return Results(plan, seed, trials, tuple(series))
 
 
-def _cases(units: Sequence[Unit], found: Sequence[set[int]]) -> list[_Case]:
-    cases: dict[int, _Case] = {}
-    for index, unit in enumerate(units):
-        case = cases.setdefault(unit.data.key, _Case(unit.data))
-        case.units.append(index)
-        case.found.append(found[index])
-    return list(cases.values())
+class _Computation:
+    """What is missing, computed chunk by chunk and stored as it comes."""
 
+    def __init__(
+        self,
+        plan: Plan,
+        units: Sequence[_UnitTrials],
+        writer: Writer,
+        seed: int,
+        perturbation: int,
+        progress: Progress,
+    ) -> None:
+        self._plan, self._writer, self._progress = plan, writer, progress
+        self._seed, self._perturbation = seed, perturbation
+        cases: dict[int, _Case] = {}
+        for unit in units:
+            cases.setdefault(unit.unit.data.key, _Case(unit.unit.data)).units.append(unit)
+        self._chunks = itertools.chain.from_iterable(map(_chunks, cases.values()))
+        self._pending: dict[Future[tuple[list[Outcome], float]], _Chunk] = {}
+        self._crashes: list[Crash] = []
 
-def _compute(
-    plan: Plan,
-    keys: Sequence[str],
-    cases: Iterable[_Case],
-    trials: int,
-    writer: Writer,
-    executor: Executor,
-    workers: int,
-    seed: int,
-    keep_going: bool,
-    progress: Progress,
-) -> None:
-    chunks = _chunks(plan.units, cases, trials)
-    # A worker finds its next chunk waiting while this process stores the last one.
-    most = 2 * workers if workers > 1 else 1
-    pending: dict[Future[tuple[list[Outcome], float]], tuple[_Case, int]] = {}
-    crashes: list[Crash] = []
+    def go(self, executor: Executor, workers: int, keep_going: bool) -> None:
+        """Compute until nothing is missing, or a crash or Ctrl-C ends it."""
+        # A worker finds its next chunk waiting while this process stores the last one.
+        most = 2 * workers if workers > 1 else 1
+        # Alone, this process is inside a trial at Ctrl-C, and need not wait for another one.
+        with _interrupt_deferred() if workers > 1 else nullcontext(threading.Event()) as interrupted:
+            self._submit(executor, most, keep_going)
+            while self._pending and not interrupted.is_set():
+                self._collect()
+                self._submit(executor, most, keep_going)
+            if interrupted.is_set():
+                self._stop()
+                raise KeyboardInterrupt
+        if self._crashes:
+            raise CrashReport(self._crashes)
 
-    def submit() -> None:
-        while len(pending) < most and (keep_going or not crashes):
-            chunk = next(chunks, None)
+    def _submit(self, executor: Executor, most: int, keep_going: bool) -> None:
+        while len(self._pending) < most and (keep_going or not self._crashes):
+            chunk = next(self._chunks, None)
             if chunk is None:
                 return
-            case, jobs, wanted = chunk
-            pending[executor.submit(_timed, case.data, jobs, wanted, seed)] = (case, len(wanted))
+            arguments = (chunk.case.data, chunk.jobs(), chunk.wanted, self._seed, self._perturbation)
+            self._pending[executor.submit(_timed, *arguments)] = chunk
 
-    def collect() -> None:
-        done = wait(pending, _POLL_SECONDS, FIRST_COMPLETED).done
+    def _collect(self) -> None:
+        done = wait(self._pending, _POLL_SECONDS, FIRST_COMPLETED).done
         # What is finished is stored before an error ends the run.
         for future in sorted(done, key=lambda future: future.exception() is not None):
-            store(*future.result(), *pending.pop(future))
+            outcomes, seconds = future.result()
+            chunk = self._pending.pop(future)
+            chunk.case.seconds = seconds / len(chunk.wanted)
+            self._keep(chunk, outcomes)
 
-    def store(outcomes: Sequence[Outcome], seconds: float, case: _Case, size: int) -> None:
-        case.seconds = seconds / size
-        finished = [(case.units[o.job], o) for o in outcomes if not o.crash]
-        writer.add(
-            {keys[i]: _described(plan, plan.units[i]) for i, _ in finished},
-            [(keys[i], Trial(o.trial, o.values, o.failure)) for i, o in finished],
-        )
-        crashes.extend(
-            Crash(plan.units[case.units[o.job]], o.trial, o.failure, o.crash) for o in outcomes if o.crash
-        )
-        progress.advance(len(finished))
+    def _stop(self) -> None:
+        """Give up what no worker has begun, and keep what is in flight."""
+        for future in [future for future in self._pending if future.cancel()]:
+            del self._pending[future]
+        if self._pending:
+            self._progress.stopping()
+        while self._pending:
+            self._collect()
 
-    # Alone, this process is inside a trial at Ctrl-C, and need not wait for another one.
-    with _interrupt_deferred() if workers > 1 else nullcontext(threading.Event()) as interrupted:
-        submit()
-        while pending and not interrupted.is_set():
-            collect()
-            submit()
-        if interrupted.is_set():
-            for future in [future for future in pending if future.cancel()]:
-                del pending[future]
-            if pending:
-                progress.stopping()
-            while pending:
-                collect()
-            raise KeyboardInterrupt
-    if crashes:
-        raise CrashReport(crashes)
+    def _keep(self, chunk: _Chunk, outcomes: Sequence[Outcome]) -> None:
+        described: dict[str, Any] = {}
+        rows: list[tuple[str, Trial]] = []
+        finished = 0
+        for outcome in outcomes:
+            task, names = chunk.tasks[outcome.job]
+            crash = None
+            for name, score in zip(names, outcome.scores, strict=True):
+                if score.crash:
+                    crash = crash or Crash(task.unit, outcome.trial, score.failure, score.crash)
+                    continue
+                trial = Trial(outcome.trial, score.values, score.failure)
+                described[task.keys[name]] = _described(self._plan, task.unit, name)
+                rows.append((task.keys[name], trial))
+                task.put(name, trial)
+            if crash:
+                self._crashes.append(crash)
+            else:
+                finished += 1
+        self._writer.add(described, rows)
+        self._progress.advance(finished)
+
+
+def _chunks(case: _Case) -> Iterator[_Chunk]:
+    """Chunks of about a quarter of a second, judged by the trials of the case that are finished."""
+    waiting = map(int, np.flatnonzero(np.any([u.trials_missing() for u in case.units], axis=0)))
+    while True:
+        size = int(_CHUNK_SECONDS / case.seconds) if case.seconds else 1
+        trials = list(itertools.islice(waiting, max(1, min(size, _LARGEST_CHUNK))))
+        if not trials:
+            return
+        yield _Chunk.of(case, trials)
+
+
+def _timed(
+    data: Data, jobs: Sequence[Job], wanted: dict[int, list[int]], seed: int, perturbation: int
+) -> tuple[list[Outcome], float]:
+    start = time.perf_counter()
+    return run_trials(data, jobs, wanted, seed, perturbation), time.perf_counter() - start
+
+
+def _described(plan: Plan, unit: Unit, metric: str) -> dict[str, Any]:
+    return {"config": plan.name, "estimator": unit.name, "case": unit.labels, "metric": metric}
 
 
 @contextmanager
@@ -276,29 +358,3 @@ class CrashReport(TrialsCrashed):
         self.tracebacks = "\n".join(
             f"trial {crash.trial} of {crash.unit.described()}\n{crash.traceback}" for crash in crashes
         )
-
-
-def _chunks(
-    units: Sequence[Unit], cases: Iterable[_Case], trials: int
-) -> Iterator[tuple[_Case, list[Job], dict[int, list[int]]]]:
-    """Chunks of about a quarter of a second, judged by the trials of the case that are finished."""
-    for case in cases:
-        jobs = [Job(units[i].estimator, tuple(units[i].metrics.values())) for i in case.units]
-        waiting = case.wanted(trials)
-        while True:
-            size = int(_CHUNK_SECONDS / case.seconds) if case.seconds else 1
-            chunk = dict(itertools.islice(waiting, max(1, min(size, _LARGEST_CHUNK))))
-            if not chunk:
-                break
-            yield case, jobs, chunk
-
-
-def _timed(
-    data: Data, jobs: Sequence[Job], wanted: dict[int, list[int]], seed: int
-) -> tuple[list[Outcome], float]:
-    start = time.perf_counter()
-    return run_trials(data, jobs, wanted, seed), time.perf_counter() - start
-
-
-def _described(plan: Plan, unit: Unit) -> dict[str, Any]:
-    return {"config": plan.name, "estimator": unit.name, "case": unit.labels}

@@ -1,8 +1,9 @@
-"""The trials store: one SQLite file that keeps every trial ever computed.
+"""The trials store: one SQLite file that keeps every score ever computed.
 
-Trials are keyed by their unit (see :func:`hident.engine.runner.unit_key`) and number, and written by one
-process in transactions of one chunk each, so that a kill loses at most the chunks in flight. Each row holds
-a checksum: a damaged row counts as not computed.
+A row is what one metric gave in one trial of one unit: keyed by data, estimator and metric (see
+:meth:`hident.engine.expansion.Unit.keys`) and the trial's number. One process writes, in transactions of one
+chunk each, so that a kill loses at most the chunks in flight. Each row holds a checksum: a damaged row
+counts as not computed.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import json
 import sqlite3
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from filelock import FileLock, Timeout
 from hident.errors import StoreBusy, StoreError
 from hident.records import Array
 
-_FORMAT = 1
+_FORMAT = 2
 _SCHEMA = f"""
 BEGIN;
 CREATE TABLE units (key TEXT PRIMARY KEY, described TEXT NOT NULL) WITHOUT ROWID;
@@ -39,7 +40,7 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A stored trial: the values of all metric labels, and why the estimate failed, if it did."""
+    """A stored trial of a key: a value for each label of the metric, and why it failed, if it did."""
 
     trial: int
     values: Array
@@ -87,11 +88,12 @@ class Store:
             raise self._unusable(error) from None
         try:
             with self._connected(create=True) as connection:
-                # Writing into a damaged tree would damage it further.
-                fault = connection.execute("PRAGMA quick_check(1)").fetchone()[0].decode()
+                with self.guarding():
+                    # Writing into a damaged tree would damage it further.
+                    fault = connection.execute("PRAGMA integrity_check(1)").fetchone()[0].decode()
                 if fault != "ok":
                     raise self._damaged(fault.splitlines()[-1])
-                yield Writer(connection)
+                yield Writer(connection, self)
         finally:
             lock.release()
 
@@ -99,28 +101,39 @@ class Store:
         """The stored trials of each key with numbers under ``below``, in order."""
         if not self.path.exists():
             return {key: [] for key in keys}
-        with self._connected(create=False) as connection:
+        with self._connected(create=False) as connection, self.guarding():
             return {key: list(_trials(connection, key, below)) for key in keys}
 
     def count(self) -> int:
-        """How many trials the store holds."""
+        """How many rows the store holds."""
         if not self.path.exists():
             return 0
-        with self._connected(create=False) as connection:
+        with self._connected(create=False) as connection, self.guarding():
             return int(connection.execute("SELECT COUNT(*) FROM trials").fetchone()[0])
 
     @contextmanager
-    def _connected(self, *, create: bool) -> Iterator[sqlite3.Connection]:
-        mode = "rwc" if create else "rw"
+    def guarding(self) -> Iterator[None]:
+        """Turn an error inside, which must be one of the store's own, into a message that says what to do."""
         try:
-            address = f"{self.path.resolve().as_uri()}?mode={mode}"
-            with closing(sqlite3.connect(address, uri=True, timeout=10.0)) as connection:
+            yield
+        except (sqlite3.Error, OSError) as error:
+            raise self._unusable(error) from None
+
+    @contextmanager
+    def _connected(self, *, create: bool) -> Iterator[sqlite3.Connection]:
+        """A connection; errors of what is done while it is open are left as they are."""
+        with self.guarding():
+            address = f"{self.path.resolve().as_uri()}?mode={'rwc' if create else 'rw'}"
+            connection = sqlite3.connect(address, uri=True, timeout=10.0)
+        try:
+            with self.guarding():
                 # Texts stay bytes, as a damaged one may not be UTF-8.
                 connection.text_factory = bytes
                 self._prepare(connection)
-                yield connection
-        except (sqlite3.Error, OSError) as error:
-            raise self._unusable(error) from None
+            yield connection
+        finally:
+            with self.guarding():
+                connection.close()
 
     def _prepare(self, connection: sqlite3.Connection) -> None:
         written = connection.execute("PRAGMA user_version").fetchone()[0]
@@ -151,28 +164,28 @@ class Store:
     def _damaged(self, text: str) -> StoreError:
         return StoreError(
             f"the trials store {self.path} is damaged ({text}). Nothing was changed. Move it aside "
-            f"(mv {self.path} {self.path}.damaged) and run again; 'sqlite3 {self.path}.damaged .recover' "
-            "may save its trials"
+            f"(mv {self.path} {self.path}.damaged) and run again: what it held is computed anew"
         )
 
 
 class Writer:
     """The one writer of a store."""
 
-    def __init__(self, connection: sqlite3.Connection) -> None:
-        self._connection = connection
+    def __init__(self, connection: sqlite3.Connection, store: Store) -> None:
+        self._connection, self._store = connection, store
 
-    def trials(self, key: str, below: int) -> Iterator[Trial]:
-        """The stored trials of a key with numbers under ``below``, in order, one at a time."""
-        return _trials(self._connection, key, below)
+    def trials(self, key: str, below: int) -> list[Trial]:
+        """The stored trials of a key with numbers under ``below``, in order."""
+        with self._store.guarding():
+            return list(_trials(self._connection, key, below))
 
     def add(self, units: Mapping[str, Any], trials: Iterable[tuple[str, Trial]]) -> None:
-        """Write a chunk of trials, and what their units are, in one transaction."""
+        """Write a chunk of trials, and what their keys stand for, in one transaction."""
         rows = []
         for key, t in trials:
             data = t.values.astype("<f8").tobytes()
             rows.append((key, t.trial, data, t.failure, _checksum(key, t.trial, data, t.failure)))
-        with self._connection:
+        with self._store.guarding(), self._connection:
             self._connection.executemany(
                 "INSERT OR IGNORE INTO units VALUES (?, ?)",
                 [(key, json.dumps(described, sort_keys=True)) for key, described in units.items()],

@@ -6,7 +6,7 @@ import copy
 import hashlib
 import json
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, cast
@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from hident.config.spec import Count, Of, Real, Spec, canonical
-from hident.errors import SimulationError, TrialFailed
+from hident.errors import TrialFailed
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
 from hident.records import Array, Estimate, Part, Record
@@ -23,8 +23,12 @@ from hident.signals.base import ExcitationSpec, NoiseSpec, Stretch
 from hident.signals.streams import NumpyStreams, StreamsSpec
 from hident.systems.base import SystemSpec
 
-# A plugin that calls sys.exit() must not end the run.
-_CRASHES = (Exception, SystemExit)
+FAILURES = (TrialFailed, np.linalg.LinAlgError, ArithmeticError)
+"""What an estimate, a metric or a simulation may raise as its result: the trial counts as failed."""
+_PERTURBATION = 4
+"""Spawn key of the perturbation's draws; those of the streams' roles are smaller."""
+OF_METRIC = "metric: "
+"""How the reason begins where the estimate was made and a metric failed on it."""
 
 
 def digest(value: Any) -> str:
@@ -87,23 +91,39 @@ class Job:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
-    """What one job gave in one trial.
+class Score:
+    """What one metric gave: a number for each of its labels, nan throughout if it failed.
 
-    ``values`` holds a number for each label of each metric, nan throughout if the estimate failed; then
-    ``failure`` says why. Of an error that is not a result, ``failure`` is the message and ``crash`` the
-    traceback.
+    ``failure`` then says why. Of an error that is not a result, ``values`` is empty, ``failure`` is the
+    message and ``crash`` the traceback.
     """
 
-    job: int
-    trial: int
     values: Array
     failure: str = ""
     crash: str = ""
 
 
-def generate(data: Data, seed: int, trial: int) -> Record:
-    """The record of one trial."""
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What one job gave in one trial: a score for each of its metrics."""
+
+    job: int
+    trial: int
+    scores: tuple[Score, ...]
+
+    @property
+    def values(self) -> Array:
+        """The numbers of all metrics, one after the other."""
+        return np.concatenate([score.values for score in self.scores])
+
+
+def generate(data: Data, seed: int, trial: int, perturbation: int = 0) -> Record:
+    """The record of one trial; with a ``perturbation``, that record a last bit away.
+
+    Under perturbation k > 0 each sample of y, and each level of u, is moved toward zero by one unit in the
+    last place or left, at random: another draw for each k, as another processor's rounding would be. Equal
+    values of u stay equal, so that a held input keeps its levels. The truth stays.
+    """
     inputs = data.streams.generator("input", seed, data.key, trial)
     stretches = data.excitation.stretches(data.samples, _interval(data))
     if len(stretches) > 1 or data.system.follows_waveforms():
@@ -113,9 +133,20 @@ def generate(data: Data, seed: int, trial: int) -> Record:
     noise = data.streams.generator("noise", seed, data.key, trial)
     for spec in data.noise:
         y = spec.measure(y, noise)
+    if perturbation:
+        sequence = np.random.SeedSequence([seed, data.key, perturbation], spawn_key=(_PERTURBATION, trial))
+        u, y = _perturbed(u, y, np.random.default_rng(sequence))
     # All estimators of a trial share them: one that writes crashes instead of changing the others' data.
     u.flags.writeable = y.flags.writeable = False
     return Record(u, y, data.dt, data.system.truth(), parts)
+
+
+def _perturbed(u: Array, y: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    def moved(values: Array) -> Array:
+        return np.where(rng.random(len(values)) < 0.5, np.nextafter(values, 0.0), values)
+
+    levels, level_of = np.unique(u, return_inverse=True)
+    return moved(levels)[level_of], moved(y)
 
 
 def _interval(data: Data) -> float:
@@ -159,55 +190,86 @@ def estimate(data: Data, job: Job, record: Record, seed: int, trial: int) -> Est
 
 
 def run_trials(
-    data: Data, jobs: Sequence[Job], wanted: Mapping[int, Sequence[int]], seed: int
+    data: Data, jobs: Sequence[Job], wanted: Mapping[int, Sequence[int]], seed: int, perturbation: int = 0
 ) -> list[Outcome]:
     """Run the jobs that each trial wants: ``wanted`` maps trials to indices of jobs.
 
-    A crash does not end the others, so that what was computed can be kept.
+    A failure or a crash does not end the others, so that what was computed can be kept.
     """
     with np.errstate(all="ignore"):
         return [
             outcome
             for trial, indices in wanted.items()
-            for outcome in _run_trial(data, jobs, indices, seed, trial)
+            for outcome in _run_trial(data, jobs, indices, seed, trial, perturbation)
         ]
 
 
 def _run_trial(
-    data: Data, jobs: Sequence[Job], indices: Sequence[int], seed: int, trial: int
-) -> Iterator[Outcome]:
+    data: Data, jobs: Sequence[Job], indices: Sequence[int], seed: int, trial: int, perturbation: int
+) -> list[Outcome]:
+    def all_metrics(index: int, error: BaseException) -> Outcome:
+        return Outcome(index, trial, tuple(_scored_as(error, metric) for metric in jobs[index].metrics))
+
     try:
-        record = generate(data, seed, trial)
-    except SimulationError as error:
-        yield from (_failed(index, jobs[index], trial, error) for index in indices)
-        return
-    except _CRASHES as error:
-        yield from (_crashed(index, trial, error) for index in indices)
-        return
+        record = generate(data, seed, trial, perturbation)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        return [all_metrics(index, error) for index in indices]
+    outcomes = []
     for index in indices:
-        job = jobs[index]
         try:
-            found = estimate(data, job, record, seed, trial)
-            values = [value for metric in job.metrics for value in _scored(metric, found, record)]
-            yield Outcome(index, trial, np.array(values, dtype=float))
-        except (TrialFailed, np.linalg.LinAlgError) as error:
-            yield _failed(index, job, trial, error)
-        except _CRASHES as error:
-            yield _crashed(index, trial, error)
+            found = estimate(data, jobs[index], record, seed, trial)
+        except KeyboardInterrupt:
+            raise
+        # Whatever a component raises, SystemExit and GeneratorExit too, must not end the run.
+        except BaseException as error:
+            outcomes.append(all_metrics(index, error))
+        else:
+            scores = tuple(_score(metric, found, record) for metric in jobs[index].metrics)
+            outcomes.append(Outcome(index, trial, scores))
+    return outcomes
 
 
-def _scored(metric: MetricSpec, found: Estimate, record: Record) -> Sequence[float]:
-    values, labels = metric.evaluate(found, record), metric.labels("")
-    if len(values) != len(labels):
-        raise ValueError(f"the metric '{metric.kind}' gives {len(values)} values for {len(labels)} labels")
+def _score(metric: MetricSpec, found: Estimate, record: Record) -> Score:
+    try:
+        return Score(_numbers(metric, found, record))
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        return _scored_as(error, metric, of_metric=True)
+
+
+def _numbers(metric: MetricSpec, found: Estimate, record: Record) -> Array:
+    values, count = np.array(metric.evaluate(found, record), dtype=float), len(metric.labels(""))
+    if values.shape != (count,):
+        raise ValueError(f"the metric '{metric.kind}' gives {values.size} values for {count} labels")
     return values
 
 
-def _failed(index: int, job: Job, trial: int, error: Exception) -> Outcome:
-    count = sum(len(metric.labels("")) for metric in job.metrics)
-    return Outcome(index, trial, np.full(count, np.nan), failure=str(error) or "singular")
+def _scored_as(error: BaseException, metric: MetricSpec, *, of_metric: bool = False) -> Score:
+    """The score where an error took the place of the numbers."""
+    if isinstance(error, FAILURES):
+        prefix = OF_METRIC if of_metric else ""
+        return Score(np.full(len(metric.labels("")), np.nan), prefix + reason(error))
+    said = f"{type(error).__name__}: {_text(error)}"
+    return Score(np.empty(0), said, _sound("".join(traceback.format_exception(error))))
 
 
-def _crashed(index: int, trial: int, error: BaseException) -> Outcome:
-    said = f"{type(error).__name__}: {error}"
-    return Outcome(index, trial, np.empty(0), said, "".join(traceback.format_exception(error)))
+def reason(error: BaseException) -> str:
+    """Why a trial failed, in words."""
+    if isinstance(error, ArithmeticError):
+        return f"{type(error).__name__}: {_text(error)}"
+    return _text(error) or "singular"
+
+
+def _text(error: BaseException) -> str:
+    try:
+        return _sound(str(error))
+    except Exception:
+        return "(its message cannot be shown)"
+
+
+def _sound(text: str) -> str:
+    """The text as a file can hold it: lone surrogates are written out."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")

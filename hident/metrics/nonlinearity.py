@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from hident.config.spec import Count, Interval, component
+from hident.errors import TrialFailed
 from hident.metrics.base import MetricSpec, Scored
 from hident.records import Array, Characteristic, Estimate, Record, Truth
 
@@ -40,6 +41,14 @@ def _of(truth: Truth | None) -> tuple[Characteristic, tuple[float, ...]]:
     return truth.nonlinearity, truth.breakpoints
 
 
+def _finite(values: Array, u: Array, whose: str) -> Array:
+    """The values of a characteristic at u, if all are finite."""
+    if not np.isfinite(values).all():
+        at = int(np.flatnonzero(~np.isfinite(values))[0])
+        raise TrialFailed(f"the {whose} nonlinearity is {values[at]} at u = {u[at]:g}")
+    return values
+
+
 class _OnInterval(MetricSpec):
     interval: Interval
     """The input range [low, high] that the error is taken over."""
@@ -57,8 +66,9 @@ class _OnInterval(MetricSpec):
         truth, breaks = _of(record.truth)
         assert estimate.nonlinearity is not None
         nodes, weights = quadrature(*self.interval, breaks, self.points)
-        true = truth(nodes)
-        return float(weights @ (estimate.nonlinearity(nodes) - true) ** 2), float(weights @ true**2)
+        true = _finite(truth(nodes), nodes, "true")
+        error = _finite(estimate.nonlinearity(nodes), nodes, "estimated") - true
+        return float(weights @ error**2), float(weights @ true**2)
 
 
 @component("metric", "mise", source="Mzyk 2009, section V")
@@ -83,8 +93,8 @@ class IntegratedSquaredError(_OnInterval):
         # In increasing order, in which an estimate is evaluated with fewer jumps through memory.
         u = record.u[record.order]
         u = u[np.searchsorted(u, low) : np.searchsorted(u, high, "right")]
-        error = estimate.nonlinearity(u)
-        error = error - truth(u)
+        error = _finite(estimate.nonlinearity(u), u, "estimated")
+        error = error - _finite(truth(u), u, "true")
         return ((high - low) * float(error @ error) / len(u) if len(u) else float("nan"),)
 
 

@@ -13,8 +13,7 @@ from hident.config.spec import Count, Real, Spec
 from hident.config.suggest import one_of
 from hident.engine.experiment import Label, Plan, Unit
 from hident.engine.results import Results
-from hident.engine.trial import Data, Job, estimate, generate
-from hident.errors import TrialFailed
+from hident.engine.trial import FAILURES, Data, Job, estimate, generate, reason
 from hident.records import Array, Estimate, Record, Truth
 from hident.reports.base import FigureSpec, Misfit, Place, Reference, label_references
 
@@ -144,8 +143,8 @@ class OneTrial:
                 record = self._record(unit.data)
                 job = Job(unit.estimator, ())
                 found = estimate(unit.data, job, record, self._results.seed, self._trial)
-        except (TrialFailed, np.linalg.LinAlgError) as error:
-            return Realised(unit, truth, record, None, str(error) or "singular")
+        except FAILURES as error:
+            return Realised(unit, truth, record, None, reason(error))
         return Realised(unit, truth, record, found)
 
     def _record(self, data: Data) -> Record:

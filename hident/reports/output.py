@@ -21,7 +21,6 @@ from hident.config.spec import canonical
 from hident.engine.experiment import Plan
 from hident.engine.fingerprint import code
 from hident.engine.results import Results
-from hident.engine.runner import unit_key
 from hident.engine.trial import digest
 from hident.errors import ConfigError, StoreError
 from hident.ledger.verdicts import Verdict, frame, judge
@@ -42,7 +41,7 @@ def output_key(plan: Plan, seed: int, trials: int) -> str:
     files = [] if paper is None else [paper / "published.csv", paper / "reasons.yaml"]
     return digest(
         {
-            "units": [unit_key(unit, seed) for unit in plan.units],
+            "units": [unit.keys(seed) for unit in plan.units],
             "trials": trials,
             "experiment": canonical(experiment),
             "paper": [hashlib.sha256(f.read_bytes()).hexdigest() for f in files if f.is_file()],

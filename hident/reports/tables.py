@@ -131,17 +131,25 @@ def intervals(verdicts: Sequence[Verdict]) -> list[str]:
 
 
 def failures(series: Iterable[Series]) -> Iterator[str]:
-    """What failed and why, for the notes of a table; once for all metrics of a unit with one count."""
+    """What failed and why, for the notes of a table; once for all metrics of a unit that failed alike."""
     seen = set()
     for one in series:
         failed, total = one.statistics["failed"], one.statistics["trials"]
-        if failed and (id(one.unit), failed) not in seen:
-            seen.add((id(one.unit), failed))
-            why = f" (the first: {one.failure})" if one.failure else ""
+        alike = (id(one.unit), failed, one.reasons)
+        if failed and alike not in seen:
+            seen.add(alike)
             yield (
-                f"{failed:.0f} of {total:.0f} trials of {one.unit.described()} failed{why} "
+                f"{failed:.0f} of {total:.0f} trials of {one.unit.described()} failed{_why(one.reasons)} "
                 "and are left out of the statistics."
             )
+
+
+def _why(reasons: Sequence[tuple[str, int]]) -> str:
+    if not reasons:
+        return ""
+    if len(reasons) == 1:
+        return f" ({reasons[0][0]})"
+    return f" ({'; '.join(f'{count} times: {text}' for text, count in reasons)})"
 
 
 @component("table", "rate")

@@ -335,7 +335,7 @@ def test_status(done: Lab) -> None:
         ["other", "24", "32", "none"],
         ["third", "24", "24", "old"],
     ]
-    assert lines[4] == ".hident/trials.sqlite: 24 trials in all"
+    assert lines[4] == ".hident/trials.sqlite: 24 scores in all"
     assert "there is no configuration under configs/ here" in done.hident("status", code=2).stderr
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _DAMAGED = (
     "Nothing was changed. Move it aside (mv .hident/trials.sqlite .hident/trials.sqlite.damaged) and run "
-    "again; 'sqlite3 .hident/trials.sqlite.damaged .recover' may save its trials"
+    "again: what it held is computed anew"
 )
 
 
@@ -105,10 +105,10 @@ def test_rows_of_wrong_types_are_recomputed(filled: Lab) -> None:
 
 def test_store_of_a_newer_format(filled: Lab) -> None:
     with closing(sqlite3.connect(filled.store)) as connection:
-        connection.execute("PRAGMA user_version = 2")
+        connection.execute("PRAGMA user_version = 3")
     for verb in (["run", "tiny.yaml", "-j1"], ["status", "tiny.yaml"]):
         assert filled.hident(*verb, code=2).stderr == (
-            "error: the trials store .hident/trials.sqlite has format 2, and this hident uses format 1: move "
+            "error: the trials store .hident/trials.sqlite has format 3, and this hident uses format 2: move "
             "it aside, or name another with --store\n"
         )
 

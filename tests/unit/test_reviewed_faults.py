@@ -45,8 +45,7 @@ def test_a_simulation_that_fails_in_a_metric_is_a_failed_trial():
         }
     )
     (outcome,) = run_trials(data, [Job(LeastSquares(order=1), (CannotSimulate(),))], {0: [0]}, 1)
-    assert outcome.failure == "the tank runs dry"
-    assert not outcome.crash
+    assert [(s.failure, s.crash) for s in outcome.scores] == [("metric: the tank runs dry", "")]
     assert np.isnan(outcome.values).all()
 
 

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 from hident import plugins
+from hident.engine import fingerprint
 from hident.engine.executors import SerialExecutor, make_executor
 from hident.engine.experiment import load
 from hident.engine.results import Results
-from hident.engine.runner import run, stored, unit_key
-from hident.engine.store import Store
+from hident.engine.runner import run, stored
+from hident.engine.store import Store, Trial, Writer
 from hident.errors import TrialsCrashed
+from hident.reports.output import output_key
 
 if TYPE_CHECKING:
+    from hident.config.spec import Spec
     from hident.engine.experiment import Plan
     from tests.conftest import Lab
 
@@ -70,7 +75,7 @@ def _run(
 
 
 def _bytes(lab: Lab, plan: Plan, store: str = "s") -> dict[str, list[tuple[int, bytes]]]:
-    keys = [unit_key(unit, plan.experiment.seed) for unit in plan.units]
+    keys = [key for unit in plan.units for key in unit.keys(plan.experiment.seed).values()]
     found = Store(lab.folder / store).read(keys, plan.experiment.trials)
     return {key: [(t.trial, t.values.tobytes()) for t in trials] for key, trials in found.items()}
 
@@ -217,3 +222,108 @@ def test_failed_estimates_are_stored_and_not_recomputed(lab: Lab) -> None:
     assert failed == [6, 6]
     assert [series.statistics["failed"] for series in results.select("known")] == [0, 0]
     assert _run(lab, plan)[1].done == 0
+
+
+class Counting(Executor):
+    """Runs each call at once, and counts the estimates and the scores that it makes."""
+
+    def __init__(self) -> None:
+        self.estimates = self.scores = 0
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        outcomes, seconds = fn(*args, **kwargs)
+        self.estimates += len(outcomes)
+        self.scores += sum(len(outcome.scores) for outcome in outcomes)
+        future.set_result((outcomes, seconds))
+        return future
+
+
+_ONE: dict[str, Any] = {"kind": "error", "of": ["a_1"]}
+_TWO: dict[str, Any] = {"kind": "value", "of": ["a_1"]}
+
+
+@pytest.mark.parametrize(
+    ("metrics", "scores"),
+    [
+        ({"a": _ONE, "b": _TWO}, 0),
+        ({"b": _TWO, "renamed": _ONE}, 0),
+        ({"a": _ONE}, 0),
+        ({"a": _ONE, "b": _TWO, "new": {"kind": "percent_error", "of": ["a_1"]}}, 24),
+        ({"a": _ONE, "b": {"kind": "percent_error", "of": ["a_1"]}}, 24),
+        ({"a": {**_ONE, "estimators": ["iv"]}, "b": _TWO}, 0),
+    ],
+)
+def test_a_new_or_changed_metric_costs_its_own_scores_only(
+    lab: Lab, metrics: dict[str, Any], scores: int
+) -> None:
+    _run(lab, _plan(lab, metrics={"a": _ONE, "b": _TWO}, tables={}))
+    executor = Counting()
+    _, told = _run(lab, _plan(lab, metrics=metrics), executor=executor)
+    assert (executor.estimates, executor.scores) == (scores, scores)
+    assert told.done == scores
+
+
+def test_scores_are_the_same_whether_a_metric_came_first_or_later(lab: Lab) -> None:
+    both = _plan(lab, metrics={"a": _ONE, "b": _TWO}, tables={})
+    _run(lab, both)
+    _run(lab, _plan(lab, metrics={"b": _TWO}), "later", trials=2)
+    both = _plan(lab, metrics={"a": _ONE, "b": _TWO})
+    results, told = _run(lab, both, "later")
+    assert (told.stored, told.done) == (0, 24)
+    assert _bytes(lab, both, "later") == _bytes(lab, both)
+    assert results.frame().to_csv() == _run(lab, both)[0].frame().to_csv()
+
+
+def test_stored_trials_are_read_once_and_keys_are_made_once(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = _plan(lab)
+    _run(lab, plan)
+    plan = _plan(lab)
+    read: list[str] = []
+    hashed: list[object] = []
+    read_one, hash_one = Writer.trials, fingerprint.fingerprint
+
+    def reading(writer: Writer, key: str, below: int) -> list[Trial]:
+        read.append(key)
+        return read_one(writer, key, below)
+
+    def hashing(specs: Iterable[Spec]) -> str:
+        hashed.append(specs)
+        return hash_one(specs)
+
+    monkeypatch.setattr(Writer, "trials", reading)
+    monkeypatch.setattr("hident.engine.expansion.fingerprint", hashing)
+    _run(lab, plan)
+    output_key(plan, plan.experiment.seed, 6)
+    stored(plan, Store(lab.folder / "s"), 6, plan.experiment.seed)
+    assert sorted(read) == sorted(key for unit in plan.units for key in unit.keys(7).values())
+    assert len(hashed) == len(plan.units)
+
+
+def test_perturbed_trials_are_a_last_bit_away_and_have_keys_of_their_own(lab: Lab) -> None:
+    plan = _plan(lab, **_REAL)
+    plain, _ = _run(lab, plan)
+    before = _bytes(lab, plan)
+    first, told = _run(lab, plan, perturbation=1)
+    assert (told.stored, told.done) == (0, 24)
+    second, _ = _run(lab, plan, perturbation=2)
+    values = [np.array([s.values for s in results.series]) for results in (plain, first, second)]
+    for one, other in itertools.combinations(values, 2):
+        assert (one != other).any()
+        np.testing.assert_allclose(one, other, rtol=1e-9)
+    assert _bytes(lab, plan) == before
+    again, told = _run(lab, plan, perturbation=1)
+    assert told.done == 0
+    assert again.frame().to_csv() == first.frame().to_csv()
+    assert len({key for k in range(3) for unit in plan.units for key in unit.keys(7, k).values()}) == 12
+    for unit in plan.units:
+        assert unit.keys(7) == unit.keys(7, 0)
+
+
+def test_an_error_that_is_not_the_store_s_keeps_its_own_name(lab: Lab) -> None:
+    executor = Scripted(2, lambda: OSError("AF_UNIX path too long"))
+    with pytest.raises(OSError, match="AF_UNIX path too long"):
+        _run(lab, _plan(lab), executor=executor)
+    assert Store(lab.folder / "s").count() == 2

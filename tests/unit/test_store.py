@@ -142,3 +142,36 @@ def test_a_file_is_no_folder(tmp_path):
     (tmp_path / "a.yaml").touch()
     with pytest.raises(StoreError, match=r"a.yaml is not a folder, as the trials store needs: --store names"):
         Store(tmp_path / "a.yaml")
+
+
+def test_errors_of_what_is_done_while_the_store_is_held_are_left_as_they_are(tmp_path: Path) -> None:
+    store = _filled(tmp_path)
+    with pytest.raises(OSError, match="AF_UNIX") as caught, store.writing():
+        raise OSError(errno.ENAMETOOLONG, "AF_UNIX path too long")
+    assert caught.type is OSError
+    with pytest.raises(sqlite3.OperationalError, match="of another file"), store.writing():
+        raise sqlite3.OperationalError("of another file")
+    with store.writing():
+        pass
+
+
+def test_a_damaged_key_is_seen_before_anything_is_written(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    with store.writing() as writer:
+        writer.add({}, [(f"key {i}", Trial(0, _VALUES)) for i in range(9)])
+    content = store.path.read_bytes()
+    assert content.count(b"key 4") == 1
+    store.path.write_bytes(content.replace(b"key 4", b"key 8"))
+    damaged = pytest.raises(StoreError, match=r"is damaged \(.*\)\. Nothing was changed\. Move it aside")
+    with damaged, store.writing():
+        pytest.fail("it was opened")
+
+
+def test_a_store_of_the_first_format_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    store = _filled(tmp_path)
+    connection = sqlite3.connect(store.path)
+    connection.execute("PRAGMA user_version = 1")
+    connection.close()
+    old = pytest.raises(StoreError, match=r"has format 1, and this hident uses format 2: move it aside")
+    with old, store.writing():
+        pytest.fail("it was opened")

@@ -83,12 +83,9 @@ def test_failed_trials_are_said(tmp_path):
 
 def test_why_trials_failed_is_said(tmp_path):
     results = made(tmp_path, {("one", "10"): [1.0, np.nan]}, rest=GRID)
-    first = replace(results.series[0], failure="it is singular")
+    first = replace(results.series[0], reasons=(("it is singular", 1),))
     table = built(replace(results, series=(first, *results.series[1:])))
-    assert (
-        "1 of 2 trials of estimator 'one' at samples 10 failed (the first: it is singular) and"
-        in table.notes[0]
-    )
+    assert "1 of 2 trials of estimator 'one' at samples 10 failed (it is singular) and" in table.notes[0]
 
 
 RATE = """

@@ -160,7 +160,7 @@ def test_numbers_that_an_estimator_draws_do_not_depend_on_the_others(lab: Lab) -
 )
 def test_a_failed_estimate_is_a_result(lab: Lab, raises: str, why: str) -> None:
     (outcome,) = _outcomes(_plan(lab), Job(Witness(raises=raises), (*_A, *_A)))
-    assert (outcome.failure, outcome.crash) == (why, "")
+    assert [(score.failure, score.crash) for score in outcome.scores] == [(why, ""), (why, "")]
     assert np.isnan(outcome.values).tolist() == [True, True]
 
 
@@ -175,24 +175,25 @@ def test_a_failed_estimate_is_a_result(lab: Lab, raises: str, why: str) -> None:
 )
 def test_a_crash_is_no_result_and_ends_no_other(lab: Lab, raises: str, why: str) -> None:
     crashed, fine = _outcomes(_plan(lab), Job(Witness(raises=raises), _A), Job(Witness(), _A))
-    assert crashed.failure == why
-    assert crashed.crash.startswith("Traceback")
-    assert "in fit" in crashed.crash
+    (score,) = crashed.scores
+    assert score.failure == why
+    assert score.crash.startswith("Traceback")
+    assert "in fit" in score.crash
     assert fine.values.tolist() == [1.0]
-    assert fine.crash == ""
+    assert fine.scores[0].crash == ""
 
 
 def test_a_crash_while_data_are_made_is_one_of_every_estimator(lab: Lab) -> None:
     plan = _plan(lab, noise="broken")
     outcomes = _outcomes(plan, Job(Witness(), _A), Job(Witness(gain=2.0), _A), trials=2)
-    assert [(o.trial, o.job, o.failure) for o in outcomes] == [
+    assert [(o.trial, o.job, o.scores[0].failure) for o in outcomes] == [
         (trial, job, "RuntimeError: no data") for trial in range(2) for job in range(2)
     ]
 
 
 def test_a_metric_that_gives_too_few_numbers_crashes(lab: Lab) -> None:
     (outcome,) = _outcomes(_plan(lab), Job(Witness(), (Short(),)))
-    assert outcome.failure == "ValueError: the metric 'short' gives 1 values for 2 labels"
+    assert outcome.scores[0].failure == "ValueError: the metric 'short' gives 1 values for 2 labels"
 
 
 def test_digest_depends_on_values_and_not_on_the_order_of_keys() -> None:
@@ -217,7 +218,7 @@ def test_a_simulation_that_fails_is_a_failed_trial_of_every_estimator(lab: Lab) 
     data = _plan(lab).units[0].data.model_copy(update={"system": Stuck()})
     jobs = [Job(Witness(), _A), Job(Witness(gain=2.0), (*_A, *_A))]
     outcomes = run_trials(data, jobs, {0: [0, 1], 1: [1]}, seed=7)
-    assert [(o.trial, o.job, o.failure, o.crash) for o in outcomes] == [
+    assert [(o.trial, o.job, o.scores[0].failure, o.scores[0].crash) for o in outcomes] == [
         (0, 0, "stopped at t = 3", ""),
         (0, 1, "stopped at t = 3", ""),
         (1, 1, "stopped at t = 3", ""),
@@ -225,3 +226,30 @@ def test_a_simulation_that_fails_is_a_failed_trial_of_every_estimator(lab: Lab) 
     assert [len(o.values) for o in outcomes] == [1, 2, 2]
     assert all(np.isnan(o.values).all() for o in outcomes)
     assert not Witness.seen
+
+
+def test_a_perturbation_moves_samples_toward_zero_by_one_unit_in_the_last_place(lab: Lab) -> None:
+    data = _plan(lab).units[0].data
+    plain, moved = generate(data, 7, 3), generate(data, 7, 3, perturbation=1)
+    for before, after in ((plain.y, moved.y), (plain.u, moved.u)):
+        toward_zero = np.nextafter(before, 0.0)
+        assert ((after == before) | (after == toward_zero)).all()
+        assert 0.2 < np.mean(after != before) < 0.8
+    again = generate(data, 7, 3, perturbation=1)
+    np.testing.assert_array_equal(again.y, moved.y)
+    others = [generate(data, 7, 3, 2), generate(data, 8, 3, 1), generate(data, 7, 4, 1)]
+    plains = [plain, generate(data, 8, 3), generate(data, 7, 4)]
+    draws = [o.y != p.y for o, p in zip([moved, *others], [plain, *plains], strict=True)]
+    assert len({draw.tobytes() for draw in draws}) == 4
+
+
+def test_a_perturbed_held_input_keeps_its_levels_apart_and_equal_ones_equal(lab: Lab) -> None:
+    lab.configure(
+        excitation={"kind": "multistep", "switching_time": 5, "std": 1.25, "limits": [-2.5, 2.5]},
+        system={"kind": "hammerstein", "nonlinearity": "identity", "linear": {"kind": "ar", "a": [0.5]}},
+        tables={},
+    )
+    data = load(lab.folder / "tiny.yaml").units[0].data
+    plain, moved = generate(data, 7, 0), generate(data, 7, 0, perturbation=1)
+    assert (plain.u != moved.u).any()
+    np.testing.assert_array_equal(np.diff(plain.u) == 0.0, np.diff(moved.u) == 0.0)
