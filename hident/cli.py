@@ -12,23 +12,22 @@ import typer
 from typer.core import TyperGroup
 
 import hident
+from hident import arithmetic, console
 from hident.config.suggest import did_you_mean, one_of
-from hident.errors import HidentError
+from hident.errors import Exit, HidentError
 
-_PIPE_CLOSED = 141
-"""What a shell reports of a program whose reader, such as head, has gone."""
+
+class _Unforeseen(Exception):
+    """Carries an exception past what Typer makes of it."""
 
 
 class _Verbs(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         try:
-            result = super().invoke(ctx)
-            sys.stdout.flush()
-        except BrokenPipeError:
-            # What is left in the buffer must not be tried again at the end of the process.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            raise typer.Exit(_PIPE_CLOSED) from None
-        return result
+            return super().invoke(ctx)
+        except (OSError, EOFError) as error:
+            # Typer would exit with 1, which stands for results that differ.
+            raise _Unforeseen from error
 
 
 app = typer.Typer(
@@ -39,8 +38,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     help="Monte Carlo experiments on identifying Hammerstein, Wiener and Wiener-Hammerstein systems.",
-    epilog="Exit codes: 0 fine, 1 differs, 2 bad configuration or arguments, 3 trials crashed, "
-    "4 nothing to compare, 75 another run holds the store, 130 interrupted.",
+    epilog="Exit codes: 0 fine, 1 differs or unsound, 2 bad configuration or arguments, 3 trials crashed, "
+    "4 nothing to compare, 70 an unforeseen error (a fault of hident), 75 another run holds the store, "
+    "130 interrupted.",
 )
 
 Configs = Annotated[list[Path], typer.Argument(help="YAML files, or names of files under configs/.")]
@@ -80,11 +80,47 @@ def main() -> None:
     """Entry point of the console script."""
     # This program opens no window; a notebook's backend, which may not be installed here, ends the import.
     os.environ["MPLBACKEND"] = "agg"
+    console.harden()
+    code = _exit_code()
+    if lost := console.fault():
+        print(f"error: standard output cannot be written ({lost})", file=sys.stderr)
+        code = code or Exit.BAD_INPUT
+    sys.exit(code)
+
+
+def _exit_code() -> int:
+    """Run the verb, and say what ended it early."""
     try:
         app()
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else Exit.FINE
     except HidentError as error:
         print(f"error: {error}", file=sys.stderr)
-        sys.exit(error.exit_code)
+        return error.exit_code
+    except KeyboardInterrupt:
+        return Exit.INTERRUPTED
+    except BaseException as error:
+        _report(error.__cause__ if isinstance(error, _Unforeseen) and error.__cause__ else error)
+        return Exit.UNFORESEEN
+    return Exit.FINE
+
+
+def _report(error: BaseException) -> None:
+    """One line on an unforeseen exception, and its traceback in a file; here if no file can be written."""
+    import tempfile
+    import traceback
+
+    text = "".join(traceback.format_exception(error))
+    said = " ".join("".join(traceback.format_exception_only(error)).split())
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="hident-", suffix=".txt", delete=False, encoding="utf-8", errors="backslashreplace"
+        ) as file:
+            file.write(f"hident {hident.__version__}: {sys.argv[1:]!r}\n\n{text}")
+        where = f"the traceback is in {file.name}"
+    except OSError:
+        where = f"the traceback:\n{text}"
+    print(f"error: unforeseen, a fault of hident: {said}; {where}", file=sys.stderr)
 
 
 def _options(trials: int | None, seed: int | None) -> dict[str, int | None]:
@@ -102,7 +138,8 @@ def _program(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version.")
     ] = False,
-) -> None: ...
+) -> None:
+    arithmetic.asked()
 
 
 def _listed(what: str) -> Listed:
@@ -230,8 +267,10 @@ def accept(
 
     Nothing else changes results/.
     """
+    from hident import commands
     from hident.ledger.accept import accept
 
+    commands.warn_of_arithmetic()
     for config in configs:
         print(accept(out / Path(config).stem, results))
 
@@ -259,7 +298,7 @@ def schema(plugin: Plugins = None) -> None:
     """Print the JSON Schema of configurations, for editors."""
     from hident import commands
 
-    print(commands.schema(plugin or ()))
+    print(commands.schema(plugin or (), unicode=sys.stdout.encoding.lower().startswith("utf")))
 
 
 @app.command()
@@ -280,3 +319,11 @@ def export(
 
     plan = commands.load_plans([config], assignments, _options(trials, seed), plugin or ())[0]
     print(commands.export(plan, store, file))
+
+
+@app.command()
+def doctor(store: StoreFolder = _STORE, plugin: Plugins = None) -> None:
+    """Show what a report of a fault needs, and what is unsound."""
+    from hident import commands
+
+    raise typer.Exit(commands.print_diagnosis(store, plugin or ()))

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hident import plugins
+from hident import arithmetic, plugins
 from hident.config.spec import PLURALS, components, json_schema
 from hident.config.suggest import did_you_mean, one_of
 from hident.engine.experiment import Experiment, Plan, load
@@ -91,9 +91,11 @@ def run_plans(
     quiet: bool,
 ) -> Exit:
     """Run plans one after the other on one set of workers; a single one's tables are printed."""
-    from hident.engine.executors import end, make_executor, usable_cores
+    from hident.engine.cores import usable_cores
+    from hident.engine.executors import end, make_executor
     from hident.reports.output import keep_tracebacks
 
+    warn_of_arithmetic()
     workers = jobs or usable_cores()
     executor = make_executor(workers, plugin_files)
     code = Exit.FINE
@@ -121,6 +123,12 @@ def run_plans(
     finally:
         end(executor)
     return code
+
+
+def warn_of_arithmetic() -> None:
+    """Say so where the arithmetic in use is not the one that was asked for."""
+    if said := arithmetic.shortfall(arithmetic.in_use()):
+        print(f"warning: {said}", file=sys.stderr)
 
 
 def _run_plan(
@@ -279,10 +287,24 @@ def print_verification(folder: Path, experiments: Path, *, complete: bool) -> Ex
     return Exit.DIFFERS if found.unexplained or (complete and found.unjudged) else Exit.FINE
 
 
-def schema(plugin_files: Iterable[Path]) -> str:
-    """The JSON Schema of configurations."""
+def print_diagnosis(store: Path, plugin_files: Sequence[Path]) -> Exit:
+    """Print what is found about the installation, what is unsound last."""
+    from hident.doctor import examine
+
+    findings = list(examine(store, plugin_files))
+    _print_columns([(finding.topic, finding.text) for finding in findings if not finding.state])
+    for finding in findings:
+        if finding.state:
+            print(f"{finding.state}: {finding.topic}: {finding.text}")
+    unsound = any(finding.state == "unsound" for finding in findings)
+    print("something is unsound" if unsound else "nothing is unsound")
+    return Exit.DIFFERS if unsound else Exit.FINE
+
+
+def schema(plugin_files: Iterable[Path], *, unicode: bool = True) -> str:
+    """The JSON Schema of configurations, in ASCII alone if it is to be."""
     plugins.load(plugin_files)
-    return json.dumps(json_schema(Experiment), indent=2, ensure_ascii=False)
+    return json.dumps(json_schema(Experiment), indent=2, ensure_ascii=not unicode)
 
 
 def export(plan: Plan, folder: Path, file: Path) -> str:

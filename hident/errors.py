@@ -13,6 +13,7 @@ class Exit(IntEnum):
     BAD_INPUT = 2
     CRASHED = 3
     NOTHING = 4
+    UNFORESEEN = 70
     BUSY = 75
     INTERRUPTED = 130
 

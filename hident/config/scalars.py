@@ -107,7 +107,7 @@ def _arctan(x: Decimal) -> Decimal:
     halvings = 0
     while abs(x) > Decimal("0.05"):
         x, halvings = x / (1 + (1 + x * x).sqrt()), halvings + 1
-    return 2**halvings * _series(x, lambda n: -x * x * (2 * n - 1) / (2 * n + 1))
+    return Decimal(2) ** halvings * _series(x, lambda n: -x * x * (2 * n - 1) / (2 * n + 1))
 
 
 def _series(first: Decimal, ratio: Callable[[int], Decimal]) -> Decimal:

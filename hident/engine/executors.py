@@ -11,11 +11,13 @@ import os
 import pickle
 import signal
 import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import cache
+from multiprocessing import forkserver
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, TypeVar
@@ -24,6 +26,8 @@ from hident import plugins
 from hident.errors import ConfigError
 
 T = TypeVar("T")
+# The address of a socket has at most 103 bytes, of which multiprocessing takes 32 for names of its own.
+_LONGEST_FOLDER = 70
 
 
 class SerialExecutor(Executor):
@@ -61,7 +65,9 @@ class PoolExecutor(ProcessPoolExecutor):
                 f"a component cannot be sent to worker processes ({error}): define its class at the top "
                 "level of its module, or run with --jobs 1"
             ) from None
-        with _interrupts_blocked():
+        with _interrupts_blocked(), _short_socket_names():
+            if sys.platform != "win32":
+                forkserver.ensure_running()
             return super().submit(_call, self._plugin_files, call)
 
 
@@ -79,13 +85,6 @@ def end(executor: Executor) -> None:
     executor.shutdown(cancel_futures=True)
 
 
-def usable_cores() -> int:
-    """The cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 @cache
 def pin_blas() -> None:
     """Hold all BLAS libraries of this process to one thread."""
@@ -93,6 +92,30 @@ def pin_blas() -> None:
     from threadpoolctl import threadpool_limits
 
     threadpool_limits(1)
+
+
+@contextmanager
+def _short_socket_names() -> Iterator[None]:
+    """Let multiprocessing, where it starts here, put its socket into a folder whose path is short enough.
+
+    Raises
+    ------
+    ConfigError
+        If there is none.
+    """
+    before = tempfile.tempdir
+    if len(os.fsencode(tempfile.gettempdir())) > _LONGEST_FOLDER and sys.platform != "win32":
+        tempfile.tempdir = next((name for name in ("/tmp", "/var/tmp") if os.access(name, os.W_OK)), None)
+        if tempfile.tempdir is None:
+            tempfile.tempdir = before
+            raise ConfigError(
+                f"worker processes need a folder for their sockets, and the path of {tempfile.gettempdir()} "
+                "is too long: set TMPDIR to a shorter one, or run with --jobs 1"
+            )
+    try:
+        yield
+    finally:
+        tempfile.tempdir = before
 
 
 @contextmanager

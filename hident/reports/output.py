@@ -203,7 +203,8 @@ def _write_text_files(
 
 
 def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8", newline="\n")
+    # The text of an error may hold what is no letter, such as one half of a pair.
+    path.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
 def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) -> list[str]:

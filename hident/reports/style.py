@@ -56,7 +56,8 @@ def style() -> Iterator[None]:
 
     # Nothing here needs a backend, but the figure of a plugin may come from pyplot.
     shipped = {name: mpl.rcParamsDefault[name] for name in mpl.rcParamsDefault if name != "backend"}
-    with mpl.rc_context({**shipped, **_SETTINGS, "backend": "agg"}):  # type: ignore[arg-type]
+    settings: Any = {**shipped, **_SETTINGS, "backend": "agg"}
+    with mpl.rc_context(settings):
         try:
             yield
         finally:
