@@ -65,8 +65,9 @@ def load_plans(
             errors.append(str(error))
     if errors:
         raise ConfigError("\n".join(errors))
-    names = [plan.name for plan in plans]
-    twice = sorted({name for name in names if names.count(name) > 1})
+    # Names that differ in capitals only are one folder on many systems.
+    names = [plan.name.casefold() for plan in plans]
+    twice = sorted({plan.name for plan in plans if names.count(plan.name.casefold()) > 1})
     if twice:
         raise ConfigError(f"two files are named {one_of(twice)}, and the name is that of the output folder")
     return plans

@@ -30,6 +30,7 @@ from hident.config.suggest import did_you_mean, one_of
 from hident.config.yaml12 import Complaint, Location, Place, error_of
 from hident.engine.cases import CHANGEABLE, DATA, Axis, Cases, Label, idle_assignments, sound_axes
 from hident.engine.expansion import Expansion, Unit
+from hident.engine.run_files import misnamed
 from hident.engine.trial import Data
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
@@ -227,6 +228,10 @@ def load(
         )
         raise error_of([*complaints, *expansion.complaints()]) from None
     complaints += first.complaints_of(_unknown_names(experiment, axes))
+    complaints += first.complaints_of(
+        Problem((section, name), message)
+        for section, name, message in misnamed(experiment.tables, experiment.figures)
+    )
     units = expansion.units(experiment.estimators, experiment.metrics, complaints)
     plan = Plan(path, document, experiment, axes, tuple(units))
     complaints += document.complaints_of(_missing_paper(plan))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import sys
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Set
 from functools import cache
 from importlib.metadata import version
@@ -11,13 +12,15 @@ from importlib.util import resolve_name
 from pathlib import Path
 from typing import Any
 
-from hident import arithmetic
+from hident import arithmetic, plugins
 from hident.config.spec import Spec
 from hident.engine.trial import digest
 
 _LIBRARIES = ("numpy", "scipy", "finufft")
 _PACKAGE = "hident"
 _TRIAL = "hident.engine.trial"
+# What shows results computes none.
+_SHOWS = ("hident.reports", "hident.ledger")
 _LIBRARY_FOLDERS = {"site-packages", "dist-packages"}
 # The version, the reading of configurations, the wording of messages: once the specs are made, no number
 # depends on them.
@@ -35,38 +38,43 @@ def fingerprint(specs: Iterable[Spec]) -> str:
 
     It covers the modules of the specs and of all specs inside them, the trial itself, and every module of
     this package, or of a plugin's own package or folder, that these import; so a changed algorithm reruns
-    what used it, and nothing else.
+    what used it, and nothing else. Tables and figures are left out, in the file of an estimator too, and so
+    is what only they mention.
     """
-    return code({_TRIAL, *(type(inner).__module__ for spec in specs for inner in _within(spec))})
+    modules = {_TRIAL, *(type(inner).__module__ for spec in specs for inner in _within(spec))}
+    return _of_modules(frozenset(modules), shown=False)
 
 
 def code(modules: Iterable[str]) -> str:
     """Hash of the code of loaded modules and of what they import of this package or their own."""
-    return _of_modules(frozenset(modules))
+    return _of_modules(frozenset(modules), shown=True)
 
 
 @cache
-def _of_modules(modules: frozenset[str]) -> str:
+def _of_modules(modules: frozenset[str], *, shown: bool) -> str:
     packages = {_PACKAGE, *(module.partition(".")[0] for module in modules)}
-    folders = {path.parent for path in map(_path, packages) if path}
+    folders = {Path(folder).resolve() for package in packages for folder in _folders(package)}
     known: dict[str, str] = {}
     waiting = sorted(modules)
     while waiting:
         module = waiting.pop()
         if module not in known:
-            known[module], imports = _of_module(module)
-            waiting += [name for name in imports if _is_own(name, packages, folders)]
+            known[module], imports = _of_module(module, shown=shown)
+            names = (plugins.name_beside(name, module) for name in imports)
+            waiting += [name for name in names if _is_own(name, packages, folders)]
     # Without the names: a plugin's holds its folder, and moving that changes no number.
     return digest(sorted(known.values()))
 
 
 @cache
-def _of_module(module: str) -> tuple[str, tuple[str, ...]]:
-    """The hash of one module's code, and what it imports."""
+def _of_module(module: str, *, shown: bool) -> tuple[str, tuple[str, ...]]:
+    """The hash of one module's code, and what it imports; ``shown``: whether tables and figures count."""
     path = _path(module)
-    if path is None:
+    if path is None or (not shown and module.startswith(_SHOWS)):
         return "", ()
     tree = ast.parse(path.read_bytes())
+    if not shown:
+        tree.body = _computing(tree.body, module)
     package = sys.modules[module].__package__ or ""
     imports = set()
     for node in ast.walk(tree):
@@ -77,6 +85,85 @@ def _of_module(module: str) -> tuple[str, tuple[str, ...]]:
             imports |= {name, *(f"{name}.{alias.name}" for alias in node.names)}
         _strip_docstring(node)
     return digest(ast.dump(tree)), tuple(sorted(imports - _WORDS))
+
+
+def _computing(statements: list[ast.stmt], module: str) -> list[ast.stmt]:
+    """The top-level statements without tables and figures, and without what only these mention.
+
+    A name that is imported and not mentioned counts as one that they mention, as it may have been theirs.
+    """
+    statements = [single for statement in statements for single in _single(statement)]
+    loaded, mentions = sys.modules[module], {s: _mentioned(s) for s in statements}
+    left_out: list[ast.stmt] = [
+        s for s in statements if isinstance(s, ast.ClassDef) and _shows(getattr(loaded, s.name, None))
+    ]
+    while True:
+        kept = [statement for statement in statements if statement not in left_out]
+        counts = Counter(name for statement in kept for name in mentions[statement])
+        theirs = set[str]().union(*(mentions[statement] for statement in left_out))
+        idle = {
+            statement: names
+            for statement in kept
+            if (names := _bound(statement))
+            and (isinstance(statement, ast.ImportFrom) or names & theirs)
+            and all(counts[name] == (name in mentions[statement]) for name in names)
+        }
+        elsewhere = _mentioned_beside(module) if idle else set()
+        idle_everywhere = [statement for statement, names in idle.items() if names.isdisjoint(elsewhere)]
+        if not idle_everywhere:
+            return kept
+        left_out += idle_everywhere
+
+
+def _single(statement: ast.stmt) -> list[ast.stmt]:
+    """An import of several names as several imports; any other statement as it is."""
+    match statement:
+        case ast.Import(names=names):
+            return [ast.Import([name]) for name in names]
+        case ast.ImportFrom(module=module, names=names, level=level):
+            return [ast.ImportFrom(module, [name], level) for name in names]
+        case _:
+            return [statement]
+
+
+def _shows(value: Any) -> bool:
+    """Whether it is the class of a table or a figure, or a base of such."""
+    return isinstance(value, type) and any(base.__module__.startswith(_SHOWS) for base in value.__mro__)
+
+
+def _bound(statement: ast.stmt) -> set[str]:
+    """The names that a statement binds, if it may do nothing else: what is decorated may be registered."""
+    match statement:
+        case ast.FunctionDef(decorator_list=[], name=name) | ast.ClassDef(decorator_list=[], name=name):
+            return {name}
+        case ast.ImportFrom(module="__future__") | ast.ImportFrom(names=[ast.alias(name="*")]):
+            return set()
+        case ast.Import(names=[alias]) | ast.ImportFrom(names=[alias]):
+            return {alias.asname or alias.name.partition(".")[0]}
+        case ast.Assign(targets=[ast.Name(id=name)]) | ast.AnnAssign(target=ast.Name(id=name)):
+            return {name}
+        case _:
+            return set()
+
+
+def _mentioned(tree: ast.AST) -> set[str]:
+    """Every name, attribute and text in the code."""
+    found: set[str] = set()
+    for node in ast.walk(tree):
+        match node:
+            case ast.Name(id=name) | ast.Attribute(attr=name) | ast.Constant(value=str(name)):
+                found.add(name)
+            case ast.alias(name=name):
+                found |= {name, *name.split(".")}
+    return found
+
+
+def _mentioned_beside(module: str) -> set[str]:
+    """What the other loaded modules of the same package mention."""
+    package = module.partition(".")[0]
+    others = [name for name in sys.modules if name.partition(".")[0] == package and name != module]
+    paths = filter(None, map(_path, others))
+    return set().union(*(_mentioned(ast.parse(path.read_bytes())) for path in paths))
 
 
 def _is_own(module: str, packages: Set[str], folders: Set[Path]) -> bool:
@@ -103,6 +190,13 @@ def _strip_docstring(node: ast.AST) -> None:
                 and isinstance(statement.value.value, str)
             )
         ]
+
+
+def _folders(package: str) -> list[str]:
+    """The folder of a loaded package, or that of a module that is none."""
+    module = sys.modules.get(package)
+    path = _path(package)
+    return list(getattr(module, "__path__", [])) or ([str(path.parent)] if path else [])
 
 
 def _path(module: str) -> Path | None:

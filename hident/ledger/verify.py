@@ -78,7 +78,7 @@ def _origin(folder: Path) -> tuple[str, str]:
     try:
         experiment = json.loads(path.read_bytes())["experiment"]
         return str(experiment["config"]), str(experiment["resolved"]["paper"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ConfigError(f"{path} cannot be read ({error}): run the configuration again") from None
 
 

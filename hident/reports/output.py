@@ -21,6 +21,7 @@ from hident.config.spec import canonical
 from hident.engine.experiment import Plan
 from hident.engine.fingerprint import code
 from hident.engine.results import Results
+from hident.engine.run_files import CRASHES, PAGE, RUN, TABLE, VERDICTS, figure_file, table_file
 from hident.engine.trial import digest
 from hident.errors import ConfigError, StoreError
 from hident.ledger.verdicts import Verdict, frame, judge
@@ -30,8 +31,6 @@ from hident.reports.style import style
 from hident.reports.tables import failures, written
 
 State = Literal["none", "old", "altered", "up to date"]
-CRASHES = "crashes.txt"
-"""What a crashed run leaves in its folder."""
 _PACKAGES = ("numpy", "scipy", "finufft", "pandas", "matplotlib", "pydantic")
 
 
@@ -53,7 +52,7 @@ def output_key(plan: Plan, seed: int, trials: int) -> str:
 
 def state(folder: Path, key: str) -> State:
     """Whether the folder holds, unaltered, what a run with this key wrote."""
-    file = folder / "run.json"
+    file = folder / RUN
     if not file.exists():
         return "none"
     try:
@@ -62,10 +61,10 @@ def state(folder: Path, key: str) -> State:
         if provenance["key"] != key:
             return "old"
         digests = provenance.pop("sha256")
-        sound = digests.pop("run.json") == digest(run) and all(
+        sound = digests.pop(RUN) == digest(run) and all(
             hashlib.sha256((folder / name).read_bytes()).hexdigest() == sha for name, sha in digests.items()
         )
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return "altered"
     return "up to date" if sound else "altered"
 
@@ -93,10 +92,10 @@ def write(results: Results, folder: Path, run: Mapping[str, Any]) -> None:
         staged.mkdir(parents=True)
         files = _write_text_files(results, verdicts, tables, staged)
         files += _write_figures(results, verdicts, staged)
-        _write_text(staged / "run.json", _run_json(results, staged, files, run))
+        _write_text(staged / RUN, _run_json(results, staged, files, run))
         for stale in {*_listed(folder), CRASHES} - set(files):
             (folder / stale).unlink(missing_ok=True)
-        for name in (*files, "run.json"):
+        for name in (*files, RUN):
             (staged / name).replace(folder / name)
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
@@ -190,13 +189,13 @@ def _differences(verdicts: Sequence[Verdict]) -> list[str]:
 def _write_text_files(
     results: Results, verdicts: Sequence[Verdict], tables: Mapping[str, Table], folder: Path
 ) -> list[str]:
-    texts = {"table.csv": results.frame().to_csv(index=False, lineterminator="\n")}
+    texts = {TABLE: results.frame().to_csv(index=False, lineterminator="\n")}
     for name, table in tables.items():
         if table.data is not None:
-            texts[f"{name}.csv"] = table.data.to_csv(index=False, lineterminator="\n")
+            texts[table_file(name)] = table.data.to_csv(index=False, lineterminator="\n")
     if verdicts:
-        texts["verdicts.csv"] = frame(verdicts).to_csv(index=False, lineterminator="\n")
-    texts["table.md"] = markdown(results, verdicts, tables)
+        texts[VERDICTS] = frame(verdicts).to_csv(index=False, lineterminator="\n")
+    texts[PAGE] = markdown(results, verdicts, tables)
     for name, text in texts.items():
         _write_text(folder / name, text)
     return list(texts)
@@ -215,13 +214,13 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
             try:
                 figure = spec.draw(results, verdicts)
                 # Without the writer's version in it, the file depends on what it shows alone.
-                figure.savefig(folder / f"{name}.png", metadata={"Software": None})
+                figure.savefig(folder / figure_file(name), metadata={"Software": None})
             except ValueError as error:  # Such as a label that is no mathematics.
                 reason = str(error).strip().splitlines()[-1]
                 raise ConfigError(
                     f"{results.plan.path}: figures.{name}: cannot be drawn ({reason}). All trials are kept"
                 ) from None
-        names.append(f"{name}.png")
+        names.append(figure_file(name))
     return names
 
 
@@ -253,7 +252,7 @@ def _run_json(results: Results, folder: Path, files: Sequence[str], run: Mapping
     content["provenance"]["sha256"] = {
         **{name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in files},
         # Of all but these hashes, as plain data.
-        "run.json": digest(content),
+        RUN: digest(content),
     }
     return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
 
@@ -261,9 +260,9 @@ def _run_json(results: Results, folder: Path, files: Sequence[str], run: Mapping
 def _listed(folder: Path) -> set[str]:
     """The files that an earlier run wrote here."""
     try:
-        names = json.loads((folder / "run.json").read_bytes())["files"]
+        names = json.loads((folder / RUN).read_bytes())["files"]
         return {name for name in names if isinstance(name, str) and Path(name).name == name}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return set()
 
 

@@ -53,8 +53,6 @@ class MatlabState(Spec):
 class Matlab5Streams(StreamsSpec):
     """The generators of MATLAB 5 to 7 from given states; NumPy's for roles without a state."""
 
-    system: MatlabState | None = None
-    """State of the random numbers of the system."""
     input: MatlabState | None = None
     """State of the random numbers of the input."""
     noise: MatlabState | None = None

@@ -1,6 +1,6 @@
 """Who may draw which random numbers.
 
-Every trial has separate streams for the system, the input, the noise and each estimator, so that the data
+Every trial has separate streams for the input, the noise and each estimator, so that the data
 of a trial depend on the seed, the data-generating part of the case and the trial's number, and on nothing
 else: not on the estimators, the order of the cases, the number of workers or the number of trials.
 """
@@ -13,14 +13,15 @@ import numpy as np
 
 from hident.config.spec import Component, component
 
-Role = Literal["system", "input", "noise", "estimator"]
-_ROLES: tuple[Role, ...] = ("system", "input", "noise", "estimator")
+Role = Literal["input", "noise", "estimator"]
+# The numbers by which the streams are spawned: no other role may ever take one of them.
+_NUMBERS: dict[Role, int] = {"input": 1, "noise": 2, "estimator": 3}
 
 
 class StreamsSpec(Component):
     """Base of all sources of random numbers."""
 
-    fixed: tuple[Literal["system", "input", "noise"], ...] = ()
+    fixed: tuple[Literal["input", "noise"], ...] = ()
     """Streams that start anew in every trial: the same draws in all trials (e.g. [input])."""
 
     def is_fixed(self, role: Role) -> bool:
@@ -38,5 +39,5 @@ class NumpyStreams(StreamsSpec):
 
     def generator(self, role: Role, seed: int, key: int, trial: int) -> np.random.Generator:
         number = 0 if self.is_fixed(role) else trial + 1
-        sequence = np.random.SeedSequence([seed, key], spawn_key=(_ROLES.index(role), number))
+        sequence = np.random.SeedSequence([seed, key], spawn_key=(_NUMBERS[role], number))
         return np.random.Generator(np.random.PCG64(sequence))

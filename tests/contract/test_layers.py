@@ -1,6 +1,7 @@
 """Imports run downwards only, those for type checking included."""
 
 import ast
+import pkgutil
 from pathlib import Path
 
 import pytest
@@ -80,12 +81,32 @@ def test_the_exceptions_are_in_use():
     assert all(imported in imports(ROOT / f"{module}.py") for module, imported in EXCEPTIONS)
 
 
-@pytest.mark.parametrize("room", ["estimators", "metrics", "signals", "systems", "numerics"])
-def test_numerical_rooms_do_not_write_or_print(room):
-    for path in (ROOT / room).glob("*.py"):
-        called = {
-            node.func.id
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
-        }
-        assert not called & {"open", "print", "input", "exec", "eval"}, path
+def numerical(name):
+    return name.split(".")[0] in {"estimators", "metrics", "signals", "systems", "numerics"}
+
+
+NUMERICAL = [path for path in MODULES if numerical(path.relative_to(ROOT).parts[0])]
+
+
+@pytest.mark.parametrize("path", NUMERICAL, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_numerical_rooms_do_not_write_or_print(path):
+    called = {
+        node.func.id
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    }
+    assert not called & {"open", "print", "input", "exec", "eval"}
+
+
+def test_no_folder_is_left_out():
+    """What is checked is every module that can be imported, those in folders of folders included."""
+    every = {
+        module.name.removeprefix("hident.") for module in pkgutil.walk_packages(hident.__path__, "hident.")
+    }
+
+    def names(paths):
+        parts = (path.relative_to(ROOT).with_suffix("").parts for path in paths)
+        return {".".join(part for part in one if part != "__init__") for one in parts}
+
+    assert names(MODULES) == every | {""}
+    assert names(NUMERICAL) == {name for name in every if numerical(name)}

@@ -12,7 +12,7 @@ import pytest
 
 from hident import plugins
 from hident.arithmetic import identity
-from hident.config.spec import Component, Of
+from hident.config.spec import Component, Of, components
 from hident.engine import fingerprint as module
 from hident.engine.fingerprint import code, fingerprint, libraries
 
@@ -161,3 +161,132 @@ def test_modules_beside_a_plugin_count_and_libraries_below_it_do_not(
     _read_again()
     assert len(set(hashes[:3])) == 3
     assert hashes[3] == hashes[2]
+
+
+_FILE = '''
+import math
+import helper
+from hident.config.spec import Count, Real, component
+from hident.estimators.base import EstimatorSpec
+from hident.records import Estimate
+from hident.reports.base import FigureSpec, TableSpec
+
+WIDTH = 3
+SCALE = 2.0
+
+
+def drawn(x):
+    return WIDTH * x
+
+
+def scaled(x):
+    return SCALE * x + helper.VALUE
+
+
+@component("estimator", "fp_estimator")
+class Own(EstimatorSpec):
+    """An estimator."""
+
+    def provides(self):
+        return frozenset({"value a"})
+
+    def fit(self, record, rng):
+        return Estimate(values={"a": scaled(1.0)})
+
+
+class Base(FigureSpec):
+    """What figures share."""
+
+    size: Real = 1.0
+    """Size."""
+
+
+@component("figure", "fp_figure")
+class Figure(Base):
+    """A figure."""
+
+    def draw(self, results, verdicts):
+        assert isinstance(results, Own)
+        return drawn(math.pi)
+
+
+@component("table", "fp_table")
+class OwnTable(TableSpec):
+    """A table."""
+
+    def build(self, results, verdicts):
+        return scaled(2.0)
+'''
+
+
+@pytest.fixture
+def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A plugin file with an estimator, a figure and a table, and its neighbour ``helper.py``."""
+    from hident.config import spec
+
+    monkeypatch.setattr(spec, "_REGISTER", {family: dict(kinds) for family, kinds in spec._REGISTER.items()})
+    before = set(sys.modules)
+    (tmp_path / "helper.py").write_text("VALUE = 1.0\n")
+    (tmp_path / "fp_all.py").write_text(_FILE)
+    plugins.load([tmp_path / "fp_all.py"])
+    yield tmp_path
+    for name in set(sys.modules) - before:
+        del sys.modules[name]
+    _read_again()
+
+
+def _keys(folder: Path, file: str, old: str, new: str) -> tuple[bool, bool]:
+    """Whether an edit of a file changes the key of the estimator's trials, and that of the figure."""
+
+    def both() -> tuple[str, str]:
+        _read_again()
+        estimator, figure = components("estimator")["fp_estimator"], components("figure")["fp_figure"]
+        return fingerprint([estimator()]), code([figure.__module__])
+
+    before = both()
+    text = (folder / file).read_text()
+    assert old in text
+    (folder / file).write_text(text.replace(old, new))
+    after = both()
+    return before[0] != after[0], before[1] != after[1]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("drawn(math.pi)", "drawn(math.e)"),
+        ("return scaled(2.0)", "return scaled(3.0)"),
+        ("size: Real = 1.0", "size: Real = 2.0"),
+        ("return WIDTH * x", "return WIDTH + x"),
+        ("WIDTH = 3", "WIDTH = 4"),
+        ("import math\n", "import math\nfrom random import choice\n"),
+        ("import Count, Real", "import Count, Flag, Real"),
+        ("    size: Real = 1.0", "    size: Count = 1"),
+    ],
+)
+def test_tables_and_figures_beside_an_estimator_do_not_count_for_its_trials(
+    plugin: Path, old: str, new: str
+) -> None:
+    assert _keys(plugin, "fp_all.py", old, new) == (False, True)
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new"),
+    [
+        ("fp_all.py", "SCALE * x +", "SCALE * x -"),
+        ("fp_all.py", "SCALE = 2.0", "SCALE = 3.0"),
+        ("fp_all.py", '{"a": scaled(1.0)}', '{"a": scaled(1.5)}'),
+        ("fp_all.py", "import helper\n", "import helper\n\nprint()\n"),
+        ("helper.py", "1.0", "2.0"),
+    ],
+)
+def test_what_an_estimator_uses_counts_in_its_file_and_beside_it(
+    plugin: Path, file: str, old: str, new: str
+) -> None:
+    assert _keys(plugin, file, old, new) == (True, True)
+
+
+def test_what_only_a_figure_mentions_counts_where_a_neighbour_uses_it(plugin: Path) -> None:
+    (plugin / "fp_user.py").write_text("from fp_all import drawn\n")
+    plugins.load([plugin / "fp_user.py"])
+    assert _keys(plugin, "fp_all.py", "return WIDTH * x", "return WIDTH + x") == (True, True)

@@ -1,13 +1,18 @@
+import pickle
 import subprocess
 import sys
 from importlib.metadata import EntryPoint
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hident import plugins
-from hident.config.spec import canonical, components
+from hident.config.spec import Of, canonical, components
 from hident.engine.experiment import load
 from hident.errors import ConfigError
+from hident.estimators.base import EstimatorSpec
+from hident.records import Record
 
 PLUGIN = '''
 import numpy as np
@@ -168,3 +173,94 @@ def test_a_file_that_failed_is_tried_again(tmp_path):
     path.write_text(PLUGIN.format(kind="plugin_again") + "\n# longer, so that no stale bytecode is used\n")
     plugins.load([path])
     assert "plugin_again" in components("estimator")
+
+
+HELPED = PLUGIN.replace(
+    "import numpy as np", "import numpy as np\nimport {helper}\nfrom helpers.inner import FACTOR"
+)
+HELPED = HELPED.replace("self.scale *", "FACTOR * {helper}.SCALE * self.scale *")
+
+
+def helped(folder, kind, scale, helper="helper"):
+    """A plugin with neighbours: a file, and a file in a folder, which imports the first in turn."""
+    (folder / "helpers").mkdir(parents=True)
+    (folder / f"{helper}.py").write_text(f"SCALE = {scale}\n")
+    (folder / "helpers" / "inner.py").write_text(f"from {helper} import SCALE\n\nFACTOR = 10 * SCALE\n")
+    (folder / "mine.py").write_text(HELPED.format(kind=kind, helper=helper))
+    return folder / "mine.py"
+
+
+def estimated(kind):
+    spec = Of("estimator").validate(kind)
+    assert isinstance(spec, EstimatorSpec)
+    found = spec.fit(Record(np.zeros(2), np.ones(2)), np.random.default_rng(0))
+    return found.values["mean"]
+
+
+def test_a_file_may_import_its_neighbours(tmp_path):
+    path = list(sys.path)
+    plugins.load([helped(tmp_path, "plugin_helped", 2)])
+    assert estimated("plugin_helped") == 10 * 2 * 2
+    assert sys.path == path
+    assert "helper" not in sys.modules
+
+
+def test_neighbours_of_one_name_do_not_mix(tmp_path):
+    files = [helped(tmp_path / kind, kind, scale) for kind, scale in (("plugin_a", 2), ("plugin_b", 3))]
+    plugins.load(files)
+    assert (estimated("plugin_a"), estimated("plugin_b")) == (40, 90)
+
+
+@pytest.mark.parametrize("helper", ["numpy_helper", "yaml", "scipy"])
+def test_a_neighbour_may_have_the_name_of_an_installed_library(tmp_path, helper):
+    plugins.load([helped(tmp_path, "plugin_named", 2, helper)])
+    assert estimated("plugin_named") == 40
+    assert not hasattr(sys.modules.get(helper), "SCALE")
+
+
+def test_the_standard_library_and_hident_itself_are_no_neighbours(tmp_path):
+    (tmp_path / "signal.py").write_text("1/0")
+    (tmp_path / "hident").symlink_to(Path(plugins.__file__).parent)
+    (tmp_path / "mine.py").write_text("import signal\n" + PLUGIN.format(kind="plugin_beside"))
+    plugins.load([tmp_path / "mine.py"])
+    assert issubclass(components("estimator")["plugin_beside"], EstimatorSpec)
+
+
+def test_a_neighbour_that_everybody_can_import_is_one_module(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "plugin_shared.py").write_text("SEEN = []\n")
+    (tmp_path / "mine.py").write_text("import plugin_shared\nplugin_shared.SEEN.append(1)\n")
+    plugins.load([tmp_path / "mine.py"])
+    assert sys.modules["plugin_shared"].SEEN == [1]
+
+
+def test_a_broken_neighbour_is_named_and_tried_again(tmp_path):
+    file = helped(tmp_path, "plugin_mended", 2)
+    (tmp_path / "helper.py").write_text("1/0")
+    assert refused(file) == f"plugin {file} cannot be loaded: ZeroDivisionError: division by zero"
+    (tmp_path / "helper.py").write_text("SCALE = 4  # longer, so that no stale bytecode is used\n")
+    plugins.load([file])
+    assert estimated("plugin_mended") == 160
+
+
+def test_classes_of_neighbours_can_be_sent_to_workers(tmp_path):
+    (tmp_path / "other.py").write_text(PLUGIN.format(kind="plugin_other"))
+    (tmp_path / "mine.py").write_text("import other\n")
+    plugins.load([tmp_path / "mine.py"])
+    spec = Of("estimator").validate({"kind": "plugin_other", "scale": 3})
+    assert pickle.loads(pickle.dumps(spec)) == spec
+
+
+def test_workers_find_the_neighbours_and_an_edit_of_one_is_computed_anew(lab):
+    lab.probe("value *= neighbour.FACTOR")
+    folder = lab.folder / "plugins"
+    folder.mkdir()
+    text = (lab.folder / "probe.py").read_text()
+    (lab.folder / "probe.py").unlink()
+    (folder / "probe.py").write_text("import neighbour\n" + text)
+    (folder / "neighbour.py").write_text("FACTOR = 1.0\n")
+    lab.run("--jobs", "2", "--plugin", "plugins/probe.py")
+    before = lab.table
+    (folder / "neighbour.py").write_text("FACTOR = 2.0  # longer, so that no stale bytecode is used\n")
+    lab.run("--jobs", "2", "--plugin", "plugins/probe.py")
+    assert lab.table != before

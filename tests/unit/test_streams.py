@@ -59,7 +59,18 @@ def test_numpy_streams_differ_by_role_trial_seed_and_key():
         for seed in (1, 2)
         for key in (3, 4)
     }
-    assert len(everything) == 4 * 3 * 2 * 2
+    assert len(everything) == 3 * 3 * 2 * 2
+
+
+@pytest.mark.parametrize(("role", "number"), [("input", 1), ("noise", 2), ("estimator", 3)])
+def test_a_role_keeps_its_stream(role, number):
+    sequence = np.random.SeedSequence([SEED, KEY], spawn_key=(number, 5))
+    assert draws(NumpyStreams(), role, 4) == tuple(np.random.Generator(np.random.PCG64(sequence)).random(3))
+
+
+def test_a_system_draws_nothing_and_has_no_stream():
+    assert refused(system={"state": 1}) == ("streams.system", "unknown key (allowed: fixed, input, noise)")
+    assert refused(fixed=["system"]) == ("streams.fixed.0", "must be 'input' or 'noise'")
 
 
 def test_numpy_streams_start_anew_where_fixed():
@@ -74,10 +85,8 @@ def test_numpy_streams_start_anew_where_fixed():
 
 @pytest.mark.parametrize("trial", [0, 1, 99])
 def test_states_are_those_of_the_formulas(trial):
-    streams = matlab5(
-        input={"state": 1}, noise={"state": "100 + trial"}, system={"state": "2**trial / 2**trial"}
-    )
-    for role, state in [("input", 1), ("noise", 101 + trial), ("system", 1)]:
+    streams = matlab5(input={"state": "2**trial / 2**trial"}, noise={"state": "100 + trial"})
+    for role, state in [("input", 1), ("noise", 101 + trial)]:
         stream = streams.generator(role, SEED, KEY, trial)
         np.testing.assert_array_equal(stream.random(20), Rand(state).random(20))
         np.testing.assert_array_equal(stream.standard_normal(20), Randn(state).standard_normal(20))
@@ -98,16 +107,16 @@ def test_uniform_numbers_may_come_from_the_twister():
 @settings(deadline=None, derandomize=True, max_examples=20)
 @given(seed=st.integers(0, 99), key=st.integers(0, 2**128), trial=st.integers(0, 99))
 def test_given_states_depend_on_the_trial_only_and_other_roles_are_those_of_numpy(seed, key, trial):
-    streams = matlab5(input={"state": 3}, fixed=["system"])
+    streams = matlab5(input={"state": 3}, fixed=["noise"])
     assert draws(streams, "input", trial, seed, key) == tuple(Rand(3).random(3))
-    plain = NumpyStreams(fixed=("system",))
-    for role in ("system", "noise", "estimator"):
+    plain = NumpyStreams(fixed=("noise",))
+    for role in ("noise", "estimator"):
         assert draws(streams, role, trial, seed, key) == draws(plain, role, trial, seed, key)
 
 
 def test_a_role_is_fixed_if_its_state_does_not_depend_on_the_trial():
-    streams = matlab5(input={"state": "3*7"}, noise={"state": "trial"}, fixed=["system"])
-    assert [role for role in ROLES if streams.is_fixed(role)] == ["system", "input"]
+    streams = matlab5(input={"state": "3*7"}, noise={"state": "trial"}, fixed=["input"])
+    assert [role for role in ROLES if streams.is_fixed(role)] == ["input"]
     assert matlab5(input={"state": 1}, fixed=["input"]).is_fixed("input")
 
 

@@ -124,11 +124,11 @@ def test_case_makes_the_same_data_as_a_file_of_its_own(lab: Lab) -> None:
 
 def test_streams_of_input_noise_and_estimator_are_apart(lab: Lab) -> None:
     data = _plan(lab).units[0].data
-    roles: tuple[Role, ...] = ("system", "input", "noise", "estimator")
+    roles: tuple[Role, ...] = ("input", "noise", "estimator")
     draws = {
         data.streams.generator(role, 7, data.key, trial).random() for role in roles for trial in range(3)
     }
-    assert len(draws) == 12
+    assert len(draws) == 9
 
 
 def test_fixed_input_is_the_same_in_all_trials(lab: Lab) -> None:

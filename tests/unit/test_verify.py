@@ -47,7 +47,9 @@ def test_nothing_to_verify(tmp_path):
         verify(tmp_path, tmp_path)
 
 
-@pytest.mark.parametrize(("name", "text"), [("run.json", "{"), ("verdicts.csv", "a,b\n1,2\n")])
+@pytest.mark.parametrize(
+    ("name", "text"), [("run.json", "{"), ("run.json", "[" * 100_000), ("verdicts.csv", "a,b\n1,2\n")]
+)
 def test_unreadable_files_are_named(folders, name, text):
     (folders / "out" / "c" / name).write_text(text)
     with pytest.raises(ConfigError, match=rf"{name} .*: run the configuration again"):

@@ -1,0 +1,55 @@
+"""The names of the files that a run writes to its folder, and which names are left for tables and figures."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+
+RUN = "run.json"
+"""What the run was: the configuration, the seed, where the files come from."""
+TABLE = "table.csv"
+"""All statistics."""
+PAGE = "table.md"
+"""The tables as the paper prints them."""
+VERDICTS = "verdicts.csv"
+"""The verdicts on the printed numbers."""
+TRIALS = "trials.csv.xz"
+"""The values of every trial."""
+CRASHES = "crashes.txt"
+"""What a crashed run leaves."""
+OWN = (RUN, TABLE, PAGE, VERDICTS, TRIALS, CRASHES)
+_LONGEST = 100
+# The numbers of Windows' devices may be superscripts.
+_DEVICES = re.compile(r"con|prn|aux|nul|(?:com|lpt)[0-9¹²³]")
+
+
+def table_file(name: str) -> str:
+    """The file of a table whose numbers table.csv does not hold."""
+    return f"{name}.csv"
+
+
+def figure_file(name: str) -> str:
+    """The file of a figure."""
+    return f"{name}.png"
+
+
+def misnamed(tables: Iterable[str], figures: Iterable[str]) -> Iterator[tuple[str, str, str]]:
+    """The names of tables and figures that cannot be those of files: section, name, and why.
+
+    What differs in capitals only is one file on many systems.
+    """
+    own = {file.partition(".")[0]: file for file in reversed(OWN)}
+    taken = dict.fromkeys(OWN, "a file of every run")
+    for section, names, file_of in (("tables", tables, table_file), ("figures", figures, figure_file)):
+        for name in names:
+            folded = name.casefold()
+            file = file_of(folded)
+            if len(name) > _LONGEST:
+                yield section, name, f"a name has at most {_LONGEST} characters, not {len(name)}"
+            elif _DEVICES.fullmatch(folded):
+                yield section, name, f"the name '{name}' is that of a device under Windows: take another"
+            elif section == "tables" and folded in own:
+                yield section, name, f"the name '{name}' is kept for {own[folded]}, which a run writes itself"
+            elif file in taken:
+                yield section, name, f"would be written to the file of {taken[file]}: take another name"
+            taken[file] = f"{section}.{name}"
