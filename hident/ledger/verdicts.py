@@ -48,7 +48,7 @@ class Verdict:
         return (*head, self.ours, self.low, self.high, self.word, self.reason, self.interval)
 
 
-Beside = dict[tuple[int, Statistic], "Verdict"]
+Beside = dict[tuple[int, str], "Verdict"]
 """The verdicts by series (its id) and statistic."""
 
 

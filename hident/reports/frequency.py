@@ -209,7 +209,8 @@ class LevelMeans(OneTrialFigure):
         above.set_ylabel(self.y_label)
         below.set_ylabel("estimate - truth\n(bars: ± 2 std. errors)")
         below.set_xlabel(self.x_label)
-        above.legend()
+        if above.get_legend_handles_labels()[1]:
+            above.legend()
         return figure
 
 

@@ -61,7 +61,7 @@ class Parameters(TableSpec):
                 yield from unscored(plan, ("estimators", i), estimator, f"{self.metric} {name}")
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
-        printed = dict[tuple[int, str], Verdict](beside(verdicts))
+        printed = beside(verdicts)
         header, rows = ["parameter"], []
         columns = {
             estimator: self._has_printed(results, estimator, verdicts) for estimator in self.estimators

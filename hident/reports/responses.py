@@ -15,6 +15,7 @@ from hident.engine.trial import Data
 from hident.errors import TrialFailed
 from hident.ledger.verdicts import Verdict
 from hident.metrics.models import fit_error, has_stable_block, validation_input
+from hident.numerics.rounding import is_constant
 from hident.records import Array, Response
 from hident.reports.base import Misfit, Reference
 from hident.reports.one_trial import (
@@ -137,6 +138,8 @@ class Validation(OneTrialFigure):
                 failure = "its linear block is unstable"
             elif realised.found is not None:
                 predicted, failure = _respond(realised.found.response, u, dt)
+            if predicted is not None and is_constant(actual):
+                predicted, failure = None, "the actual response does not vary, and has no percentage"
             if predicted is None:
                 failures.append(f"{curve.text} failed: {failure}")
                 continue

@@ -79,7 +79,7 @@ class Grid(TableSpec):
             yield from unscored(plan, ("columns", i, "metric"), column.estimator, column.metric)
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
-        printed_at = dict[tuple[int, str], Verdict](beside(verdicts))
+        printed_at = beside(verdicts)
         pairs = {(column.estimator, column.metric) for column in self.columns}
         touching = {axis for pair in pairs for one in results.select(*pair) for axis in one.unit.labels}
         others = [a for a in results.plan.axes if a.name in touching and a.name != self.rows]

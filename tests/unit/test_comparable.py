@@ -117,8 +117,8 @@ def test_the_remedy_gives_the_same_system_and_a_right_score(plan_of):
     (unit,) = plan_of(discrete(split, estimator)).units
     (other,) = plan_of(discrete(hammerstein([0, 2, 1]), estimator, "{kind: value, of: [b_1]}")).units
     u = np.linspace(-1, 1, 50)
-    responses = [one.data.system.simulate(u) for one in (unit, other)]
-    np.testing.assert_allclose(*responses, rtol=1e-12, atol=1e-12)
+    same = unit.data.system.simulate(u), other.data.system.simulate(u)
+    np.testing.assert_allclose(same[0], same[1], rtol=1e-12, atol=1e-12)
     found = unit.estimator.fit(generate(unit.data, 1, 0), np.random.default_rng(0))
     (percent,) = unit.metrics["m"].evaluate(found, generate(unit.data, 1, 0))
     assert percent < 1e-9
@@ -292,6 +292,7 @@ def test_an_estimator_that_does_not_say_is_not_refused_and_its_tables_say_so(pla
             return Estimate(nonlinearity=np.positive)
 
     spec = Of("estimator").validate({"kind": "says_nothing"})
+    assert isinstance(spec, EstimatorSpec)
     assert spec.normalisations() is None
     assert list(governed(NonlinearityPercentError(interval=(-1, 1)), spec)) == []
     plan = plan_of(discrete(hammerstein("[2]"), "{kind: says_nothing}"))
@@ -320,5 +321,7 @@ def test_a_process_has_no_block_that_could_break_a_rule():
     steps = {"kind": "multistep", "switching_time": 1, "std": 1}
     data = Data.model_validate({"samples": 10, "dt": 0.1, "system": tank, "excitation": steps})
     spec = Of("estimator").validate({"kind": "nonlinearity_identification"})
+    assert isinstance(spec, EstimatorSpec)
+    assert spec.normalisations() is not None
     (rule,) = spec.normalisations()
     assert rule.factors(data.system.truth(), 0.1) is None

@@ -202,3 +202,26 @@ def test_a_bode_diagram_leaves_out_what_most_trials_lack(tmp_path, draw):
 def test_a_bode_diagram_needs_the_responses(tmp_path):
     said = misfit(tmp_path, BODE.replace("estimators: [FGI]", "estimators: [NI]"))
     assert "the metric 'found phase_o_1_1' does not score the estimator 'NI'" in said
+
+
+LOUD = """\
+  input_linear: {kind: continuous, a: [0.5]}
+  nonlinearity: {kind: exponential, rate: 1e4}
+"""
+QUIET = """\
+  input_linear: {kind: continuous, a: [0.5]}
+  nonlinearity: {kind: polynomial, coefficients: [2, 1, 0.5]}
+"""
+
+
+@pytest.mark.parametrize("rest", [SIGNALS, BODE, LEVELS])
+def test_a_record_that_cannot_be_simulated_is_said_in_the_figure(tmp_path, draw, monkeypatch, rest):
+    monkeypatch.setitem(globals(), "CONFIG", CONFIG.replace(QUIET, LOUD))
+    figure = draw(results(tmp_path, rest))
+    said = " ".join(text.get_text() for axes in figure.axes for text in axes.texts)
+    assert rest == BODE or "failed: the nonlinearity is not finite in the range of its input" in said
+
+
+def test_the_printed_number_of_a_table_is_no_standard_deviation(tmp_path):
+    spread = PUBLISHED.replace("statistic: median", "statistic: std")
+    assert built(results(tmp_path, TABLE + spread)).header == ("quantity", "truth", "ours")

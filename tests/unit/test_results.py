@@ -62,6 +62,24 @@ def test_standard_errors_are_the_spread_of_the_statistic(unit: Unit, statistic: 
     assert claimed == pytest.approx(spread, rel=0.06)
 
 
+@pytest.mark.parametrize("size", [1e-300, 1.3e-4, 0.1, 7.0, -3e8])
+def test_a_spread_below_the_rounding_of_its_values_is_none(unit: Unit, size: float) -> None:
+    # The mean of equal numbers is not always one of them.
+    for factors in (np.ones(100), 1.0 + 1e-15 * (np.arange(100) % 7)):
+        values = np.asarray(size * factors, dtype=np.float64)
+        series = Series(unit, "a", values)
+        found = series.statistics
+        assert (found["std"], found["se"]) == (0.0, 0.0)
+        assert {found[name] for name in ("mean", "median", "q05", "q95")} == {values[0]}
+        assert [series.standard_error(s) for s in ("mean", "std", "median")] == [0.0, 0.0, 0.0]
+        assert series.values is values
+
+
+def test_a_spread_above_rounding_stays(unit: Unit) -> None:
+    values = np.asarray(1.0 + 1e-11 * np.arange(5), dtype=np.float64)
+    assert Series(unit, "a", values).statistics["std"] == np.std(values, ddof=1)
+
+
 def test_standard_error_of_too_few_or_equal_values(unit: Unit) -> None:
     assert math.isnan(Series(unit, "a", np.array([1.0])).standard_error("mean"))
     for statistic in ("mean", "std", "median"):

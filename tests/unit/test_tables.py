@@ -169,3 +169,22 @@ def test_a_distance_needs_its_printed_numbers(tmp_path, kind):
     assert list(spec.misfits(homeless)) == [
         ("cells", "needs 'paper', the folder under experiments/ with the numbers")
     ]
+
+
+OPEN_RATE = """
+tables:
+  t: {kind: rate, title: R, axis: samples, metric: mise, estimators: [one, two]}
+"""
+
+
+@pytest.mark.parametrize("values", [[np.nan, np.nan], [np.inf, np.inf], [0.0, 0.0], [-1.0, 1.0], [2.0, 2.0]])
+def test_a_rate_of_what_has_no_logarithm_or_no_error_is_left_open(tmp_path, values):
+    # Numpy's warnings are errors here.
+    table = built(made(tmp_path, {("one", str(n)): values for n in (10, 100, 1000)}, rest=OPEN_RATE))
+    assert table.rows[0] == ("one", "-", "-")
+
+
+def test_a_rate_leaves_out_the_points_that_failed(tmp_path):
+    values = {("one", str(n)): np.array([0.9, 1.1]) / n for n in (10, 100)} | {("one", "1000"): [np.nan] * 2}
+    table = built(made(tmp_path, values, rest=OPEN_RATE))
+    assert table.rows[0][1] == "-1.00"
