@@ -8,6 +8,7 @@ from pydantic import model_validator
 from hident.config.spec import component
 from hident.estimators.moving_horizon.iterative import MovingHorizonSpec, multicollinearity, padded
 from hident.estimators.moving_horizon.linear_transform import SecondStageSpec
+from hident.numerics.parts import Parts
 from hident.records import Estimate, Record
 
 
@@ -24,8 +25,8 @@ class LinearModel(MovingHorizonSpec):
             raise ValueError("block.horizon is required: the length eta of the horizons")
         return self
 
-    def check_horizons(self, n: int, dt: float) -> None:
-        self.block.check(n, dt, self.start, gain=True)
+    def check_horizons(self, parts: Parts, dt: float) -> None:
+        self.block.check(parts[-1].stop, dt, self.start, gain=True, parts=parts)
 
     def provides(self) -> frozenset[str]:
         n = self.block.most
@@ -37,7 +38,14 @@ class LinearModel(MovingHorizonSpec):
         dt, eta = self.sampling_interval(record), self.block.horizon
         assert eta is not None
         found, search = self.block.fit(
-            record.y, record.u, dt, delay=self.delay, eta=eta, start=self.start, gain=None
+            record.y,
+            record.u,
+            dt,
+            delay=self.delay,
+            eta=eta,
+            start=self.start,
+            gain=None,
+            parts=record.experiments,
         )
         block = found.block
         values = {
