@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.numerics.parts import Parts, whole
+
 if TYPE_CHECKING:
     from hident.systems.continuous import ContinuousTransferFunction
     from hident.systems.linear import TransferFunction
@@ -142,8 +144,16 @@ class Record:
         return cls(u, y, dt)
 
     @cached_property
+    def experiments(self) -> Parts:
+        """The samples of each experiment, in their order: all of the record unless it names its parts.
+
+        Whatever looks back in time must not look from one into another.
+        """
+        return tuple(part.samples for part in self.parts.values()) or whole(len(self))
+
+    @cached_property
     def order(self) -> NDArray[np.intp]:
-        """An order that sorts u, shared by all estimators of this record."""
+        """An order that sorts u over the whole record, shared by all estimators of this record."""
         order = np.argsort(self.u)
         order.flags.writeable = False
         return order

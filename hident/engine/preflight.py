@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from hident.config.load import Problem
+from hident.engine.expansion import Unit
 from hident.engine.experiment import Plan
-from hident.engine.trial import generate
+from hident.engine.trial import Data, generate
 from hident.errors import EstimationError, SimulationError
 from hident.estimators.base import EstimatorSpec
 from hident.records import Record
 
 
 def check_records(plan: Plan) -> None:
-    """Show the record of trial 0 of every case to the estimators that can judge one.
+    """Ask each estimator about its case's experiments, and about the record of trial 0 if it can judge one.
 
     Raises
     ------
@@ -23,6 +24,11 @@ def check_records(plan: Plan) -> None:
     problems = []
     records: dict[int, Record | None] = {}
     for unit in plan.units:
+        try:
+            unit.estimator.check_experiments(_intervals(unit.data), unit.data.dt)
+        except EstimationError as error:
+            problems.append(_problem(unit, error))
+            continue
         if type(unit.estimator).check_record is EstimatorSpec.check_record:
             continue
         key = unit.data.key
@@ -37,8 +43,18 @@ def check_records(plan: Plan) -> None:
         except SimulationError:
             continue
         except EstimationError as error:
-            case = ", ".join(f"{axis} {label}" for axis, label in unit.labels.items())
-            at = f" (at {case})" if case else ""
-            problems.append(Problem(("estimators", unit.name), f"{error}{at}"))
+            problems.append(_problem(unit, error))
     if problems:
         raise plan.document.error(problems)
+
+
+def _intervals(data: Data) -> dict[str, float]:
+    """The sampling intervals of the experiments by name."""
+    dt = 1.0 if data.dt is None else data.dt
+    return {stretch.name: stretch.dt for stretch in data.excitation.stretches(data.samples, dt)}
+
+
+def _problem(unit: Unit, error: EstimationError) -> Problem:
+    case = ", ".join(f"{axis} {label}" for axis, label in unit.labels.items())
+    at = f" (at {case})" if case else ""
+    return Problem(("estimators", unit.name), f"{error}{at}")

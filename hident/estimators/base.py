@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Mapping
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -10,6 +11,12 @@ from hident.config.spec import Component
 from hident.errors import EstimationError
 from hident.estimators.normalisation import Normalisation
 from hident.records import Array, Estimate, Record
+
+Experiments = Literal["one", "at_one_interval", "any"]
+"""The records of several experiments that an estimator takes: none, those with one sampling interval, all."""
+
+# Sampling intervals this close, relative to their size, are one.
+_SAME_INTERVAL = 1e-9
 
 
 class EstimatorSpec(Component):
@@ -30,6 +37,41 @@ class EstimatorSpec(Component):
     def fewest_samples(self) -> int:
         """The shortest record that the method accepts."""
         return 1
+
+    def takes_experiments(self) -> Experiments:
+        """Which records of several experiments (``Record.parts``) it takes; ``one``: none.
+
+        ``at_one_interval``: it looks back in time or works at the record's sampling interval, and nothing
+        that it does reaches from one experiment into another (see :mod:`hident.numerics.parts`). ``any``: it
+        takes each sample by itself, or each experiment by itself at that experiment's own interval.
+        """
+        return "one"
+
+    def check_experiments(self, intervals: Mapping[str, float], dt: float | None) -> None:
+        """Raise EstimationError unless it takes a record of these experiments.
+
+        ``intervals`` are the sampling intervals of the record's experiments by their names, ``dt`` the
+        record's own (None: discrete time).
+        """
+        taken = self.takes_experiments()
+        if taken == "any":
+            return
+        if taken == "one" and len(intervals) > 1:
+            raise EstimationError(
+                f"{self.kind} takes a record of one experiment, and this one has {len(intervals)}: "
+                "it does not say that it keeps them apart"
+            )
+        step = 1.0 if dt is None else dt
+        for name, interval in intervals.items():
+            if abs(interval - step) > _SAME_INTERVAL * step:
+                raise EstimationError(
+                    f"{self.kind} works at one sampling interval, and the experiment '{name}' has "
+                    f"{interval:g} where the record has {step:g}: sample all at the record's 'dt'"
+                )
+
+    def require_experiments(self, record: Record) -> None:
+        """Raise EstimationError unless it takes the record's experiments."""
+        self.check_experiments({name: part.dt for name, part in record.parts.items()}, record.dt)
 
     def draws(self) -> bool:
         """Whether ``fit`` draws from its stream; where it does not, the stream need not be seeded."""

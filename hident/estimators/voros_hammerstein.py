@@ -25,11 +25,12 @@ from pydantic import Field
 
 from hident.config.spec import Count, Flag, Real, component
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, require_finite
+from hident.estimators.base import EstimatorSpec, Experiments, require_finite
 from hident.estimators.bilinear_models.bilinear import lengths
 from hident.estimators.moving_horizon.searches import History
 from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
 from hident.estimators.normalisation import Normalisation, first_coefficient
+from hident.numerics.parts import Parts, in_each, joined, longer_than, whole
 from hident.records import Array, Characteristic, Estimate, Record, Response
 from hident.systems.linear import TransferFunction
 
@@ -98,9 +99,13 @@ def segments(x: Array, degree: int) -> Array:
     return np.hstack([np.where(negative, 0.0, powers), np.where(negative, powers, 0.0)])
 
 
-def delayed(rows: Array, lags: range, first: int) -> Array:
-    """``rows`` (N,) at t - lag for each lag, t = first, ..., N-1; shape (N - first, lags)."""
-    at = np.arange(first, len(rows))
+def instants(parts: Parts, first: int) -> NDArray[np.intp]:
+    """The samples whose lags are all on record: all but the ``first`` of each experiment."""
+    return np.concatenate([np.arange(part.start + first, part.stop) for part in longer_than(parts, first)])
+
+
+def delayed(rows: Array, lags: range, at: NDArray[np.intp]) -> Array:
+    """``rows`` (N,) at t - lag for each lag and each t in ``at``; shape (at, lags)."""
     return rows[at[:, None] - np.asarray(lags, dtype=np.intp)]
 
 
@@ -154,7 +159,10 @@ def iterate(update: Callable[[Array], tuple[Array, Array]], theta: Array, x: Arr
 
 
 class VorosSpec(EstimatorSpec):
-    """Base of Voros's methods: their fields, the decimation of the record, and their report."""
+    """Base of Voros's methods: their fields, the decimation of the record, and their report.
+
+    The first samples of each experiment, as many as the largest lag, serve as past samples only.
+    """
 
     n: Annotated[Count, Field(ge=1)]
     """Number n of feedback coefficients a_1, ..., a_n."""
@@ -175,13 +183,16 @@ class VorosSpec(EstimatorSpec):
     require_convergence: Flag = False
     """Whether an iteration that has not converged counts as failed; else its last estimate is reported."""
 
-    def identify(self, u: Array, y: Array) -> Iterations:
-        """The iterations for a decimated record, theta = (a, b, f, g)."""
+    def identify(self, u: Array, y: Array, parts: Parts) -> Iterations:
+        """The iterations for a decimated record of these experiments, theta = (a, b, f, g)."""
         raise NotImplementedError
 
     def simulate(self, nonlinearity: Characteristic, linear: TransferFunction, u: Array) -> Array:
         """The response at the method's own step, from rest."""
         raise NotImplementedError
+
+    def takes_experiments(self) -> Experiments:
+        return "at_one_interval"
 
     def draws(self) -> bool:
         return False
@@ -234,14 +245,19 @@ class VorosSpec(EstimatorSpec):
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         require_finite(record.y)
+        self.require_experiments(record)
         dt = 1.0 if record.dt is None else record.dt
         ratio = self._ratio(dt)
-        u, y = record.u[::ratio], record.y[::ratio]
-        if len(u) < self.fewest_samples():
+        u, y = (in_each(record.experiments, lambda part: part[::ratio], one) for one in (record.u, record.y))
+        parts = joined(len(range(part.start, part.stop, ratio)) for part in record.experiments)
+        first = self.structure().first
+        rows = sum(part.stop - part.start - first for part in longer_than(parts, first))
+        if rows < self.fewest_samples() - first:
             raise EstimationError(
                 f"{len(u)} samples at the method's step are too few: it needs {self.fewest_samples()}"
+                + (f", and {first} more for each further experiment" if len(parts) > 1 else "")
             )
-        found = self.identify(u, y)
+        found = self.identify(u, y, parts)
         if self.require_convergence and not found.converged:
             raise EstimationError(f"the iteration did not converge in {found.count} iterations")
         return self._estimate(found, ratio * dt)
@@ -287,7 +303,9 @@ def at_step(simulate: Characteristic, step: float) -> Response:
     return response
 
 
-def voros_hammerstein(u: Array, y: Array, structure: Structure, rule: Rule) -> Iterations:
+def voros_hammerstein(
+    u: Array, y: Array, structure: Structure, rule: Rule, parts: Parts | None = None
+) -> Iterations:
     """Fit y(t) = sum a_i y(t-i) + x(t-delay) + sum b_i x(t-i), i > delay, to a two-segment polynomial x of u.
 
     Parameters
@@ -298,6 +316,8 @@ def voros_hammerstein(u: Array, y: Array, structure: Structure, rule: Rule) -> I
         The numbers of coefficients.
     rule : Rule
         The relaxation and when to stop.
+    parts : sequence of slices, optional
+        Where the experiments stand; one by default.
 
     Returns
     -------
@@ -315,16 +335,16 @@ def voros_hammerstein(u: Array, y: Array, structure: Structure, rule: Rule) -> I
     difference g - f, which spans the same. The iteration starts with all other b_i at zero, where no
     internal variable is needed.
     """
-    n, delay, first = structure.n, structure.delay, structure.first
+    n, delay, at = structure.n, structure.delay, instants(parts or whole(len(u)), structure.first)
     basis = segments(u, structure.degree)
-    known = np.hstack([delayed(y, range(1, n + 1), first), basis[first - delay : len(u) - delay]])
+    known = np.hstack([delayed(y, range(1, n + 1), at), basis[at - delay]])
 
     def update(x: Array) -> tuple[Array, Array]:
-        unknown = delayed(x, range(delay + 1, delay + structure.m), first)
-        a, c, b = np.split(solve(np.hstack([known, unknown]), y[first:]), [n, known.shape[1]])
+        unknown = delayed(x, range(delay + 1, delay + structure.m), at)
+        a, c, b = np.split(solve(np.hstack([known, unknown]), y[at]), [n, known.shape[1]])
         return np.concatenate((a, [1.0], b, c)), basis @ c
 
-    a, c = np.split(solve(known, y[first:]), [n])
+    a, c = np.split(solve(known, y[at]), [n])
     start = np.concatenate((a, [1.0], np.zeros(structure.m - 1), c))
     return iterate(update, start, basis @ c, rule)
 
@@ -339,8 +359,8 @@ class VorosHammerstein(VorosSpec):
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (first_coefficient(self.delay, values="b f g", step=self.step),)
 
-    def identify(self, u: Array, y: Array) -> Iterations:
-        return voros_hammerstein(u, y, self.structure(), self.rule())
+    def identify(self, u: Array, y: Array, parts: Parts) -> Iterations:
+        return voros_hammerstein(u, y, self.structure(), self.rule(), parts)
 
     def simulate(self, nonlinearity: Characteristic, linear: TransferFunction, u: Array) -> Array:
         return linear.filter(nonlinearity(u))

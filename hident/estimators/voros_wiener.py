@@ -12,15 +12,19 @@ from hident.estimators.voros_hammerstein import (
     Structure,
     VorosSpec,
     delayed,
+    instants,
     iterate,
     segments,
     solve,
 )
+from hident.numerics.parts import Parts, in_each, whole
 from hident.records import Array, Characteristic
 from hident.systems.linear import TransferFunction
 
 
-def voros_wiener(u: Array, y: Array, structure: Structure, rule: Rule) -> Iterations:
+def voros_wiener(
+    u: Array, y: Array, structure: Structure, rule: Rule, parts: Parts | None = None
+) -> Iterations:
     """Fit y(t) = x(t) + sum f_j x(t)^j + sum (g_j - f_j) x(t)^j h(t), x being a linear block's output.
 
     Parameters
@@ -31,6 +35,8 @@ def voros_wiener(u: Array, y: Array, structure: Structure, rule: Rule) -> Iterat
         The numbers of coefficients.
     rule : Rule
         The relaxation and when to stop.
+    parts : sequence of slices, optional
+        Where the experiments stand; one by default.
 
     Returns
     -------
@@ -49,23 +55,25 @@ def voros_wiener(u: Array, y: Array, structure: Structure, rule: Rule) -> Iterat
     linear model, which takes y for x. Simulating the linear block instead, where x(t-i) is new as well,
     diverges through unstable blocks on the way.
     """
-    n, delay, degree, first = structure.n, structure.delay, structure.degree, structure.first
-    past = range(1, n + 1)
-    inputs = delayed(u, range(delay, delay + structure.m), first)
+    n, delay, degree = structure.n, structure.delay, structure.degree
+    parts = parts or whole(len(u))
+    past, at = range(1, n + 1), instants(parts, structure.first)
+    inputs = delayed(u, range(delay, delay + structure.m), at)
 
     def renewed(x: Array, a: Array, b: Array) -> Array:
-        """sum a_i x(t-i) + sum b_i u(t-i), both signals being zero before the record."""
-        return TransferFunction((0.0, *a)).filter(x) + TransferFunction((0.0,) * delay + tuple(b)).filter(u)
+        """sum a_i x(t-i) + sum b_i u(t-i), both signals being zero before each experiment."""
+        of_x, of_u = TransferFunction((0.0, *a)), TransferFunction((0.0,) * delay + tuple(b))
+        return in_each(parts, lambda x, u: of_x.filter(x) + of_u.filter(u), x, u)
 
     def update(x: Array) -> tuple[Array, Array]:
         # Without the column of f_1, which is in the key term; that of g_1 then carries g_1 - f_1.
-        curved = segments(x[first:], degree)[:, 1:]
-        columns = np.hstack([delayed(x, past, first), inputs, curved])
-        a, b, f, g = np.split(solve(columns, y[first:]), np.cumsum([n, structure.m, degree - 1]))
+        curved = segments(x[at], degree)[:, 1:]
+        columns = np.hstack([delayed(x, past, at), inputs, curved])
+        a, b, f, g = np.split(solve(columns, y[at]), np.cumsum([n, structure.m, degree - 1]))
         g[0] += 1.0
         return np.concatenate((a, b, [1.0], f, g)), renewed(x, a, b)
 
-    a, b = np.split(solve(np.hstack([delayed(y, past, first), inputs]), y[first:]), [n])
+    a, b = np.split(solve(np.hstack([delayed(y, past, at), inputs]), y[at]), [n])
     straight = np.eye(1, degree)[0]
     start = np.concatenate((a, b, straight, straight))
     return iterate(update, start, renewed(y, a, b), rule)
@@ -81,8 +89,8 @@ class VorosWiener(VorosSpec):
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (unit_slope("f_1 = 1", "b f g", "nonlinearity", "linear"),)
 
-    def identify(self, u: Array, y: Array) -> Iterations:
-        return voros_wiener(u, y, self.structure(), self.rule())
+    def identify(self, u: Array, y: Array, parts: Parts) -> Iterations:
+        return voros_wiener(u, y, self.structure(), self.rule(), parts)
 
     def simulate(self, nonlinearity: Characteristic, linear: TransferFunction, u: Array) -> Array:
         return nonlinearity(linear.filter(u))

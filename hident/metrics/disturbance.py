@@ -12,6 +12,7 @@ import numpy as np
 
 from hident.config.spec import Flag, Real, component
 from hident.metrics.base import MetricSpec, Scored
+from hident.numerics.parts import in_each, longer_than
 from hident.records import Estimate, Record
 
 # A coefficient that is written with four digits.
@@ -33,7 +34,7 @@ class DisturbanceVariance(MetricSpec):
     """Variance of the output (or of the filtered output) about the nonlinearity's output w_k."""
 
     filtered: Flag = False
-    """Filter the output by the inverse of the estimated linear block first, eq. (14)."""
+    """Filter the output of each experiment by the inverse of the estimated linear block first, eq. (14)."""
 
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset({"nonlinearity"})
@@ -50,11 +51,13 @@ class DisturbanceVariance(MetricSpec):
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         assert record.truth is not None
         assert record.truth.nonlinearity is not None
-        y, lost = record.y, 0
-        if self.filtered:
-            assert estimate.linear is not None
-            y, lost = estimate.linear.inverse().filter(y), len(estimate.linear.a)
-        return (float(np.var((y - record.truth.nonlinearity(record.u))[lost:], ddof=1)),)
+        y, w, parts = record.y, record.truth.nonlinearity(record.u), record.experiments
+        if not self.filtered:
+            return (float(np.var(y - w, ddof=1)),)
+        assert estimate.linear is not None
+        inverse, lost = estimate.linear.inverse(), len(estimate.linear.a)
+        delta = in_each(longer_than(parts, lost), lambda y, w: (inverse.filter(y) - w)[lost:], y, w)
+        return (float(np.var(delta, ddof=1)),)
 
 
 @component("metric", "disturbance_variance_formula", source="Mzyk 2009, eq. (20), (21)")

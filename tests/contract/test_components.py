@@ -61,7 +61,8 @@ class Example:
     """An estimator's settings, and the system whose data suit it.
 
     ``invariances`` are those that it has: ``scale`` (of the output: the nonlinearity scales with it, the
-    feedback stays) and ``order`` (of the samples: it does not matter).
+    feedback stays) and ``order`` (of the samples: it does not matter). ``several`` is an excitation with
+    several experiments; by default the example's own twice, the second one around another level.
     """
 
     settings: dict[str, Any]
@@ -70,6 +71,7 @@ class Example:
     system: dict[str, Any] | str = "hammerstein"
     excitation: dict[str, Any] = field(default_factory=lambda: IID)
     samples: int = 300
+    several: dict[str, Any] | None = None
     invariances: frozenset[str] = frozenset({"scale"})
 
 
@@ -227,6 +229,7 @@ EXAMPLES = [
         **BLOCKS,
         excitation=STAIRCASE,
         samples=240,
+        several=SINES,
     ),
     Example(
         {
@@ -240,12 +243,14 @@ EXAMPLES = [
         **BLOCKS,
         excitation=SINES,
         samples=560,
+        several=SINES,
     ),
     Example(
         {"kind": "best_linear_approximation", "harmonics": [1, 3]},
         **BLOCKS,
         excitation=MULTISINES,
         samples=192,
+        several=MULTISINES,
     ),
 ]
 
@@ -473,6 +478,75 @@ class TestEveryEstimator:
                 _fit(example, replace(sound, u=np.full(len(sound), u), y=np.full(len(sound), y)))
             except EstimationError as error:
                 assert str(error)
+
+
+def _several(example, length=None):
+    """A record of several experiments at very different levels."""
+    parts = [
+        {"name": name, "samples": length or example.samples, "excitation": excitation}
+        for name, excitation in (("low", example.excitation), ("high", _raised(example.excitation)))
+    ]
+    excitation = example.several or {"kind": "experiments", "parts": parts}
+    samples = example.samples if example.several else 2 * (length or example.samples)
+    if example.several is SINES:
+        samples = 560
+    return generate(_data(replace(example, excitation=excitation), samples), 1, 0)
+
+
+def _raised(excitation):
+    match excitation["kind"]:
+        case "iid":
+            return {**excitation, "low": -1.5, "high": 4}
+        case "multistep":
+            return {**excitation, "limits": [-1, 2]}
+    return excitation
+
+
+def _reversed(record):
+    """The same experiments in the other order."""
+    parts, start = {}, 0
+    for name, part in reversed(record.parts.items()):
+        parts[name] = replace(part, start=start, stop=start + len(part))
+        start += len(part)
+    u, y = (
+        np.concatenate([signal[part.samples] for part in reversed(record.parts.values())])
+        for signal in (record.u, record.y)
+    )
+    return Record(u, y, record.dt, record.truth, parts)
+
+
+@_each_example()
+class TestSeveralExperiments:
+    """Where one ends and the next begins, nothing looks back: else their order would matter."""
+
+    def test_their_order_does_not_matter_or_they_are_refused_by_name(self, example):
+        record, spec = _several(example), _spec(example)
+        assert len(record.parts) > 1
+        if spec.takes_experiments() == "one":
+            with pytest.raises(EstimationError, match=f"^{spec.kind} takes a record of one experiment"):
+                spec.fit(record, np.random.default_rng(5))
+            return
+        _same(_fit(example, record), _fit(example, _reversed(record)), 1e-8)
+
+    def test_their_sampling_intervals_are_one_unless_each_is_taken_by_itself(self, example):
+        record, spec = _several(example), _spec(example)
+        first, *others = record.parts
+        parts = {**record.parts, first: replace(record.parts[first], dt=0.7 * record.parts[first].dt)}
+        if spec.takes_experiments() == "any":
+            return
+        assert others
+        message = f"^{spec.kind} works at one sampling interval, and the experiment 'low' has"
+        with pytest.raises(EstimationError, match=message):
+            spec.fit(replace(record, parts=parts), np.random.default_rng(5))
+
+    @pytest.mark.parametrize("length", [1, 2, 3, 5, 9, 40])
+    def test_short_ones_are_estimated_or_fail_as_a_result(self, example, length):
+        if example.several is not None:
+            pytest.skip("its experiments have given lengths")
+        try:
+            _fit(example, _several(example, length))
+        except EstimationError as error:
+            assert str(error)
 
 
 @_each_example("scale")

@@ -239,7 +239,7 @@ def test_order_of_a_filtered_record_is_that_of_its_input():
     rng = np.random.default_rng(14)
     u = rng.integers(0, 9, 50).astype(float)
     record = Record(u, u)
-    filtered = FilteredRecord(u[3:], u[3:], whole=record)
+    filtered = FilteredRecord.of(record, TransferFunction(a=(0.3, 0.2, 0.1)))
     assert sorted(filtered.order) == list(range(47))
     np.testing.assert_array_equal(filtered.u[filtered.order], np.sort(u[3:]))
 

@@ -5,20 +5,24 @@ v          residuals, taken as v(t) = a_1 v(t-1) + ... + a_p v(t-p) + e(t)
 V_p        variance of e that the model of order p leaves; V_0 that of v
 N          number of residuals
 =========  ========================================================================
+
+``parts`` say where the residuals of each experiment stand; no product of two residuals, no prediction and no
+whitening reaches from one into another. They are one experiment by default.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
 from hident.config.spec import Count, Real, Spec
 from hident.errors import EstimationError
+from hident.numerics.parts import Parts, in_each, longer_than, whole
 from hident.records import Array
 
 
@@ -29,24 +33,30 @@ class ArModel:
     a: Array
     variance: float = 1.0
 
-    def whiten(self, rows: Array) -> Array:
+    def whiten(self, rows: Array, parts: Parts | None = None) -> Array:
         """Multiply ``rows`` (N,) or (N, K) by a root F of the inverse covariance: F'F = variance R^-1.
 
-        R is the covariance of N stationary samples; it is never formed. N must be at least p.
+        R is the covariance of N stationary samples, those of different experiments uncorrelated; it is never
+        formed.
 
         Raises
         ------
         EstimationError
             If the model is not stationary.
         """
+        root = self._root_of_start()
+        return in_each(parts or whole(len(rows)), lambda part: self._whitened(part, root), rows)
+
+    def _whitened(self, rows: Array, root: Array) -> Array:
         p = len(self.a)
+        if len(rows) < p:
+            return _root_of_first(root, len(rows)) @ rows
         whitened = rows.astype(float)
         for k, a in enumerate(self.a, start=1):
             whitened[p:] -= a * rows[p - k : len(rows) - k]
-        whitened[:p] = self._root_of_start @ rows[:p]
+        whitened[:p] = root @ rows[:p]
         return whitened
 
-    @property
     def _root_of_start(self) -> Array:
         """A root of the inverse covariance (p, p) of the first p samples, for an innovation of variance 1."""
         p = len(self.a)
@@ -65,22 +75,38 @@ class ArModel:
             ) from None
 
 
-def burg(v: Array, highest: int) -> list[ArModel]:
+def _root_of_first(root: Array, count: int) -> Array:
+    """A root of the inverse covariance of the first ``count`` of p samples, from that of all p."""
+    covariance = np.linalg.inv(root.T @ root)[:count, :count]
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
+def _total(products: Iterable[Any]) -> float:
+    return float(sum(products))
+
+
+def burg(v: Array, highest: int, parts: Parts | None = None) -> list[ArModel]:
     """The models of orders 0, ..., ``highest`` of ``v`` (N,) by Burg's recursion; always stationary."""
-    forward, backward = v[1:], v[:-1]
     models = [ArModel(np.empty(0), float(np.mean(v**2)))]
+    errors = [(v[part][1:], v[part][:-1]) for part in parts or whole(len(v))]
     for _ in range(highest):
-        power = float(forward @ forward + backward @ backward)
-        reflection = 2.0 * float(forward @ backward) / power if power > 0.0 else 0.0
+        power = _total(forward @ forward + backward @ backward for forward, backward in errors)
+        both = _total(forward @ backward for forward, backward in errors)
+        reflection = 2.0 * both / power if power > 0.0 else 0.0
         models.append(_higher(models[-1], reflection))
-        forward, backward = (forward - reflection * backward)[1:], (backward - reflection * forward)[:-1]
+        errors = [
+            ((forward - reflection * backward)[1:], (backward - reflection * forward)[:-1])
+            for forward, backward in errors
+        ]
     return models
 
 
-def yule_walker(v: Array, highest: int) -> list[ArModel]:
+def yule_walker(v: Array, highest: int, parts: Parts | None = None) -> list[ArModel]:
     """The models of orders 0, ..., ``highest`` of ``v`` (N,) from its autocovariances; always stationary."""
-    n = len(v)
-    covariance = np.array([v[: n - k] @ v[k:] for k in range(highest + 1)]) / n
+    pieces = [v[part] for part in parts or whole(len(v))]
+    lags = range(highest + 1)
+    products = [_total(one[: max(len(one) - k, 0)] @ one[k:] for one in pieces) for k in lags]
+    covariance = np.array(products) / len(v)
     models = [ArModel(np.empty(0), float(covariance[0]))]
     for p in range(highest):
         model = models[-1]
@@ -95,23 +121,39 @@ def _higher(model: ArModel, reflection: float) -> ArModel:
     return ArModel(a, float(model.variance * (1.0 - reflection**2)))
 
 
-def least_squares(v: Array, highest: int) -> list[ArModel]:
+def least_squares(v: Array, highest: int, parts: Parts | None = None) -> list[ArModel]:
     """The models of orders 0, ..., ``highest`` of ``v`` (N,) by least squares; may be unstable.
 
     The coefficients of order p are fitted on all t > p, but the variances on t > ``highest``: fits to
     different samples cannot be compared.
+
+    Raises
+    ------
+    EstimationError
+        If no experiment holds more than ``highest`` samples.
     """
-    return [ArModel(_regressed(v, p, p)[0], _regressed(v, p, highest)[1]) for p in range(highest + 1)]
+    if not longer_than(parts := parts or whole(len(v)), highest):
+        raise EstimationError(
+            f"no experiment holds more than {highest} residuals, and so far back the noise model looks"
+        )
+    return [
+        ArModel(_regressed(v, p, p, parts)[0], _regressed(v, p, highest, parts)[1])
+        for p in range(highest + 1)
+    ]
 
 
-def _regressed(v: Array, p: int, first: int) -> tuple[Array, float]:
+def _regressed(v: Array, p: int, first: int, parts: Parts) -> tuple[Array, float]:
     """Coefficients (p,) and the mean squared error of the autoregression on t > ``first``."""
-    rows = np.stack([v[first - k : len(v) - k] for k in range(p + 1)])
+
+    def lagged(v: Array) -> Array:
+        return np.stack([v[first - k : len(v) - k] for k in range(p + 1)])
+
+    rows = in_each(longer_than(parts, first), lagged, v, axis=1)
     a = np.linalg.lstsq(rows[1:].T, rows[0], rcond=None)[0]
     return a, float(np.mean((rows[0] - a @ rows[1:]) ** 2))
 
 
-METHODS: dict[str, Callable[[Array, int], list[ArModel]]] = {
+METHODS: dict[str, Callable[..., list[ArModel]]] = {
     "burg": burg,
     "yule_walker": yule_walker,
     "least_squares": least_squares,
@@ -164,9 +206,9 @@ class EstimatedAr(Spec):
     iterations: Annotated[Count, Field(ge=1)] = 3
     """How many times the noise and then the parameters are estimated."""
 
-    def model(self, v: Array, coefficients: int = 0) -> ArModel:
+    def model(self, v: Array, coefficients: int = 0, parts: Parts | None = None) -> ArModel:
         """The model of the residuals ``v`` (N,) of a regression with so many ``coefficients``."""
-        models = METHODS[self.method](v, self.max_order)
+        models = METHODS[self.method](v, self.max_order, parts)
         variances = np.array([model.variance for model in models])
         match self.criterion:
             case "f_test":

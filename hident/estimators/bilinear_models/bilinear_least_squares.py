@@ -147,8 +147,8 @@ class BilinearLeastSquares(WeightedBilinearSpec):
         return frozenset({"nonlinearity", "linear"} if self.start == "truth" else ())
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
-        phi, y = self.data(record)
-        weighted = self.weighted(phi, y)
+        phi, y, parts = self.data(record)
+        weighted = self.weighted(phi, y, parts)
         regression = weighted.regression
         first = two_stage(regression, y)
         b, a = (first.b, first.a) if self.start == "two_stage" else self.true_parameters(record)

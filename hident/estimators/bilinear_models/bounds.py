@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -43,8 +44,8 @@ class CramerRao(BilinearSpec):
         return frozenset({"nonlinearity", "linear"})
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
-        phi, _ = self.data(record)
-        root = ArModel(np.array(self.noise.a)).whiten if self.noise else identity
+        phi, _, parts = self.data(record)
+        root = partial(ArModel(np.array(self.noise.a)).whiten, parts=parts) if self.noise else identity
         regression = Regression.of(phi, self.lags, root, self.delay)
         bounds = cramer_rao(regression, *self.true_parameters(record), self.variance)
         return Estimate(
@@ -71,8 +72,8 @@ class KnownNonlinearity(WeightedSpec):
         return self.noise_names() | values | {"linear", "nonlinearity"}
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
-        phi, y = self.data(record)
-        weighted = self.weighted(phi, y)
+        phi, y, parts = self.data(record)
+        weighted = self.weighted(phi, y, parts)
         theta = weighted.regression.theta(y)
         white = weighted.white
         errors = np.sqrt(white.variance(y, white.theta(y))) * np.linalg.norm(white.g, axis=1)

@@ -13,9 +13,10 @@ from pydantic import Field, model_validator
 
 from hident.config.spec import Count, Of
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, require_finite
+from hident.estimators.base import EstimatorSpec, Experiments, require_finite
 from hident.estimators.bilinear_models.bilinear import Regression, lengths, normalised, regressors
 from hident.estimators.normalisation import Normalisation, unit_length
+from hident.numerics.parts import Parts, following, in_each, longer_than
 from hident.records import Array, Record
 from hident.systems.base import NonlinearitySpec
 from hident.systems.linear import TransferFunction
@@ -34,12 +35,18 @@ class Expansion:
 
 
 class LaggedSpec(EstimatorSpec):
-    """Base of the estimators that regress y(t) on known functions of x(t-delay), x(t-delay-1), ..."""
+    """Base of the estimators that regress y(t) on known functions of x(t-delay), x(t-delay-1), ...
+
+    The first delay + lags - 1 samples of each experiment serve as lagged inputs only.
+    """
 
     lags: Annotated[Count, Field(ge=1)]
     """Number n of coefficients of the linear block."""
     delay: Annotated[Count, Field(ge=0)] = 1
     """The first lag: y(t) depends on x(t-delay), ..., x(t-delay-lags+1)."""
+
+    def takes_experiments(self) -> Experiments:
+        return "at_one_interval"
 
     def draws(self) -> bool:
         return False
@@ -71,23 +78,31 @@ class LaggedSpec(EstimatorSpec):
                 raise EstimationError(f"phi_{j} is not finite at {wrong} of {len(row)} samples of the input")
         return basis
 
-    def data(self, record: Record) -> tuple[Array, Array]:
-        """The regressors Phi (rows, n m) and the outputs (rows,).
+    def data(self, record: Record) -> tuple[Array, Array, Parts]:
+        """The regressors Phi (rows, n m), the outputs (rows,), and where the rows of each experiment stand.
 
         Raises
         ------
         EstimationError
-            If the record is too short for the lags, or not finite.
+            If no experiment is long enough for the lags, or the record is not finite.
         """
         require_finite(record.y)
-        if len(record) <= self.first:
-            raise EstimationError(
-                f"{len(record)} samples are too few for the lags {self.delay} to {self.first}"
-            )
-        return regressors(self.basis_values(record.u), self.lags, self.delay), record.y[self.first :]
+        phi = self._regressors(record)
+        parts = longer_than(record.experiments, self.first)
+        y = in_each(parts, lambda y: y[self.first :], record.y)
+        return phi, y, following(parts, self.first)
+
+    def _regressors(self, record: Record) -> Array:
+        self.require_experiments(record)
+        parts = longer_than(record.experiments, self.first)
+        if not parts:
+            longest = max(part.stop - part.start for part in record.experiments)
+            raise EstimationError(f"{longest} samples are too few for the lags {self.delay} to {self.first}")
+        # The basis has a row for each function, the regressors one for each sample.
+        return in_each(parts, lambda x: regressors(self.basis_values(x), self.lags, self.delay), record.u)
 
     def check_record(self, record: Record) -> None:
-        phi = regressors(self.basis_values(record.u), self.lags, self.delay)
+        phi = self._regressors(record)
         try:
             Regression.of(phi, self.lags, delay=self.delay)
         except EstimationError as error:

@@ -3,9 +3,12 @@
 ======  =====================================================================================
 F       1 - f_1 q^-1 - ... - f_p q^-p; the output without noise is (1/F) of b'phi(t)a
 X       the regressors phi_j(x(t-i)) filtered by 1/F from rest, shape (rows, n m)
-H       the responses of 1/F to impulses in the first p rows: what came before the record
+H       the responses of 1/F to impulses in the first p rows: what came before the experiment
 r       residuals; for given f, of the best a, b and start
 ======  =====================================================================================
+
+``parts`` say where the rows of each experiment stand (one by default): each is filtered from rest by itself,
+and has a start of its own.
 
 For given f the problem is the bilinear one with X for Phi. Wang, Zhang, Ljung 2009, section 2, name this
 way and leave it out.
@@ -31,6 +34,7 @@ from hident.estimators.bilinear_models.known_basis import BilinearSpec
 from hident.estimators.bilinear_models.two_stage import two_stage
 from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
 from hident.estimators.normalisation import Normalisation, unit_length
+from hident.numerics.parts import Parts, in_each, whole
 from hident.records import Array, Estimate, Record
 from hident.systems.linear import TransferFunction
 
@@ -44,8 +48,8 @@ _EDGE = 0.999
 class Inner:
     """The best a, b and start for given f, with the residuals (rows,) and the output without noise (rows,).
 
-    ``derivative`` (rows, p + n + m - 1 + p) is that of the output by f, by b and a within assumption 1, and
-    by the start; ``tangent`` (n + m, n + m - 1) are the directions of b and a.
+    ``derivative`` (rows, p + n + m - 1 + p for each experiment) is that of the output by f, by b and a within
+    assumption 1, and by the start; ``tangent`` (n + m, n + m - 1) are the directions of b and a.
     """
 
     f: Array
@@ -61,19 +65,32 @@ class Inner:
         return float(self.residuals @ self.residuals)
 
 
-def _filtered(f: Array, rows: Array) -> Array:
+def _filtered(f: Array, rows: Array, parts: Parts) -> Array:
     from scipy.signal import lfilter
 
-    return np.asarray(lfilter([1.0], np.concatenate(([1.0], -f)), rows, axis=0))
+    denominator = np.concatenate(([1.0], -f))
+    return in_each(parts, lambda part: np.asarray(lfilter([1.0], denominator, part, axis=0)), rows)
 
 
-def _delayed(rows: Array, p: int) -> Array:
+def _delayed(rows: Array, p: int, parts: Parts) -> Array:
     """``rows`` (N,) delayed by 1, ..., p samples from rest, shape (N, p)."""
-    padded = np.concatenate([np.zeros(p), rows])
-    return np.column_stack([padded[p - k : len(padded) - k] for k in range(1, p + 1)])
+
+    def delayed(part: Array) -> Array:
+        padded = np.concatenate([np.zeros(p), part])
+        return np.column_stack([padded[p - k : len(padded) - k] for k in range(1, p + 1)])
+
+    return in_each(parts, delayed, rows)
 
 
-def start(phi: Array, y: Array, p: int) -> Array:
+def _impulses(p: int, parts: Parts) -> Array:
+    """An impulse in each of the first p rows of each part, shape (rows, up to p for each part)."""
+    first = [part.start + k for part in parts for k in range(min(p, part.stop - part.start))]
+    impulses = np.zeros((parts[-1].stop, len(first)))
+    impulses[first, np.arange(len(first))] = 1.0
+    return impulses
+
+
+def start(phi: Array, y: Array, p: int, parts: Parts | None = None) -> Array:
     """First estimate of f (p,): a linear regression for F y, repeated with everything filtered by 1/F.
 
     ``phi`` has shape (rows, n m), ``y`` (rows,). The first round is exact without noise, and the repetition
@@ -82,12 +99,19 @@ def start(phi: Array, y: Array, p: int) -> Array:
     Raises
     ------
     EstimationError
-        If the regressors are dependent.
+        If the regressors are dependent, or there are too few rows.
     """
+    parts = parts or whole(len(y))
+    unknowns = p + phi.shape[1] + _impulses(p, parts).shape[1]
+    if len(y) <= unknowns:
+        raise EstimationError(
+            f"{len(y)} equations cannot determine {unknowns} unknowns, the start of each experiment among "
+            "them: use longer experiments, fewer lags or fewer basis functions"
+        )
     f = np.zeros(p)
     for _ in range(1 + _PREFILTERINGS):
-        filtered = _filtered(f, np.column_stack([y, phi, np.eye(len(y), p)]))
-        columns = np.column_stack([_delayed(filtered[:, 0], p), filtered[:, 1:]])
+        filtered = _filtered(f, np.column_stack([y, phi, _impulses(p, parts)]), parts)
+        columns = np.column_stack([_delayed(filtered[:, 0], p, parts), filtered[:, 1:]])
         length = np.linalg.norm(columns, axis=0)
         length[length == 0.0] = 1.0
         found, _, _, singular_values = np.linalg.lstsq(columns / length, filtered[:, 0], rcond=None)
@@ -114,7 +138,14 @@ def _stabilised(f: Array) -> Array:
     return -np.real(np.poly(poles))[1:]
 
 
-def inner_solution(f: Array, phi: Array, y: Array, n: int, guess: tuple[Array, Array] | None = None) -> Inner:
+def inner_solution(
+    f: Array,
+    phi: Array,
+    y: Array,
+    n: int,
+    guess: tuple[Array, Array] | None = None,
+    parts: Parts | None = None,
+) -> Inner:
     """Solve the bilinear problem for given f, from ``guess`` or the two-stage estimate.
 
     Raises
@@ -122,8 +153,8 @@ def inner_solution(f: Array, phi: Array, y: Array, n: int, guess: tuple[Array, A
     EstimationError
         If the filtered regressors are dependent, or the problem does not converge.
     """
-    p = len(f)
-    X, H = _filtered(f, phi), _filtered(f, np.eye(len(y), p))
+    p, parts = len(f), parts or whole(len(y))
+    X, H = _filtered(f, phi, parts), _filtered(f, _impulses(p, parts), parts)
     q = np.linalg.qr(H).Q
 
     def without_start(rows: Array) -> Array:
@@ -142,12 +173,21 @@ def inner_solution(f: Array, phi: Array, y: Array, n: int, guess: tuple[Array, A
     output = y - residuals
     tangent = complement(np.concatenate([b, np.zeros_like(a)]))
     # F y = b'phi a + impulses: so the derivative by f_k is 1/F of the output k samples ago.
-    derivative = np.column_stack([_filtered(f, _delayed(output, p)), jacobian(X, b, a) @ tangent, H])
+    derivative = np.column_stack(
+        [_filtered(f, _delayed(output, p, parts), parts), jacobian(X, b, a) @ tangent, H]
+    )
     return Inner(f, b, a, residuals, output, derivative, tangent)
 
 
 def separable_least_squares(
-    phi: Array, y: Array, n: int, p: int, *, tolerance: float = 1e-10, max_iterations: int = 100
+    phi: Array,
+    y: Array,
+    n: int,
+    p: int,
+    *,
+    parts: Parts | None = None,
+    tolerance: float = 1e-10,
+    max_iterations: int = 100,
 ) -> tuple[Inner, int]:
     """Fit y(t) = (1/F) b'phi(t) a + v(t): f by Gauss and Newton's method, a, b and the start inside.
 
@@ -159,6 +199,8 @@ def separable_least_squares(
         The output.
     n, p : int
         Number of lags and order of F.
+    parts : sequence of slices, optional
+        Where the rows of each experiment stand.
     tolerance : float
         Converged when a step in f changes the output by less than this, relative to it.
     max_iterations : int
@@ -179,7 +221,7 @@ def separable_least_squares(
     Consistent for an output noise of any colour that is independent of the input, efficient for a white
     Gaussian one. The derivative by f is that of variable projection in Kaufman's form.
     """
-    current = inner_solution(start(phi, y, p), phi, y, n)
+    current = inner_solution(start(phi, y, p, parts), phi, y, n, parts=parts)
     rounding = 1e-14 * float(y @ y)
     for iteration in range(max_iterations):
         rest = np.linalg.qr(current.derivative[:, p:]).Q
@@ -191,7 +233,7 @@ def separable_least_squares(
         small = np.linalg.norm(change) <= tolerance * np.linalg.norm(current.output)
         for _ in range(_HALVINGS):
             if TransferFunction(a=tuple(current.f + step)).is_stable():
-                new = inner_solution(current.f + step, phi, y, n, (current.b, current.a))
+                new = inner_solution(current.f + step, phi, y, n, (current.b, current.a), parts)
                 if new.loss <= current.loss + rounding:
                     break
             step = 0.5 * step
@@ -225,10 +267,10 @@ class SeparableLeastSquares(BilinearSpec):
         return frozenset(values | {"value loss", "linear", "nonlinearity"})
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
-        phi, y = self.data(record)
+        phi, y, parts = self.data(record)
         p, n = self.feedback, self.lags
         Regression.of(phi, n, delay=self.delay)
-        found, iterations = separable_least_squares(phi, y, n, p)
+        found, iterations = separable_least_squares(phi, y, n, p, parts=parts)
         names = self._parameters()
         parameters = np.concatenate([found.f, found.b, found.a])
         values = dict(zip(names, parameters.tolist(), strict=True))

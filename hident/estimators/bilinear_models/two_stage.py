@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -23,6 +24,7 @@ from hident.estimators.bilinear_models.bilinear import (
     normalised,
 )
 from hident.estimators.bilinear_models.known_basis import BilinearSpec, LaggedSpec
+from hident.numerics.parts import Parts
 from hident.records import Array, Estimate, Record
 from hident.systems.linear import TransferFunction
 
@@ -91,10 +93,13 @@ def two_stage(regression: Regression, y: Array) -> TwoStage:
     return TwoStage(b, a, theta)
 
 
-def estimate_noise(regression: Regression, y: Array, noise: EstimatedAr) -> tuple[Regression, ArModel]:
+def estimate_noise(
+    regression: Regression, y: Array, noise: EstimatedAr, parts: Parts | None = None
+) -> tuple[Regression, ArModel]:
     """The regression weighted by the inverse of the estimated noise covariance, and the noise's model.
 
-    ``regression`` is unweighted, ``y`` has shape (rows,).
+    ``regression`` is unweighted, ``y`` has shape (rows,); ``parts`` say where the rows of each experiment
+    stand, one by default.
 
     Notes
     -----
@@ -103,8 +108,8 @@ def estimate_noise(regression: Regression, y: Array, noise: EstimatedAr) -> tupl
     weighted = regression
     for _ in range(noise.iterations):
         residuals = regression.residuals(y, weighted.theta(y))
-        model = noise.model(residuals, regression.phi.shape[1])
-        weighted = Regression.of(regression.phi, regression.n, model.whiten)
+        model = noise.model(residuals, regression.phi.shape[1], parts)
+        weighted = Regression.of(regression.phi, regression.n, partial(model.whiten, parts=parts))
     return weighted, model
 
 
@@ -171,17 +176,21 @@ class WeightedSpec(LaggedSpec):
         order = self.weight.max_order if isinstance(self.weight, EstimatedAr) else 0
         return super().fewest_samples() + 2 * order
 
-    def weighted(self, phi: Array, y: Array) -> Weighted:
-        """The regressors ``phi`` (rows, n m) with the weighting; ``y`` (rows,) serves to estimate it."""
+    def weighted(self, phi: Array, y: Array, parts: Parts | None = None) -> Weighted:
+        """The regressors ``phi`` (rows, n m) with the weighting; ``y`` (rows,) serves to estimate it.
+
+        ``parts`` say where the rows of each experiment stand, one by default.
+        """
         plain = Regression.of(phi, self.lags, delay=self.delay)
         if self.weight == "identity":
             return Weighted(plain, plain)
         if self.weight == "inverse_gram":
             return Weighted(Regression.of(phi, self.lags, inverse_gram(plain)), plain)
         if isinstance(self.weight, KnownAr):
-            white = Regression.of(phi, self.lags, ArModel(np.array(self.weight.a)).whiten)
+            known = ArModel(np.array(self.weight.a))
+            white = Regression.of(phi, self.lags, partial(known.whiten, parts=parts))
             return Weighted(white, white)
-        white, model = estimate_noise(plain, y, self.weight)
+        white, model = estimate_noise(plain, y, self.weight, parts)
         return Weighted(white, white, len(model.a))
 
     def noise_names(self) -> frozenset[str]:
@@ -221,8 +230,8 @@ class TwoStageAlgorithm(WeightedBilinearSpec):
     """Hammerstein system by linear least squares and a singular value decomposition."""
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
-        phi, y = self.data(record)
-        weighted = self.weighted(phi, y)
+        phi, y, parts = self.data(record)
+        weighted = self.weighted(phi, y, parts)
         found = two_stage(weighted.regression, y)
         variance = weighted.white.variance(y, weighted.white.theta(y))
         errors = weighted.white.standard_errors(found.b, found.a, variance)

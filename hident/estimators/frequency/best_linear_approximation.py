@@ -12,7 +12,7 @@ from pydantic import Field
 
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, require_finite
+from hident.estimators.base import EstimatorSpec, Experiments, require_finite
 from hident.estimators.frequency.harmonics import samples_per_period
 from hident.estimators.normalisation import Normalisation
 from hident.records import Array, Estimate, Periodic, Record
@@ -99,6 +99,9 @@ class BestLinear(EstimatorSpec):
     """Harmonics of the multisines' period at which the values are reported, e.g. [1, 3, 5]."""
     transient: Annotated[Count, Field(ge=0)] = 0
     """Periods left out at the start of each experiment."""
+
+    def takes_experiments(self) -> Experiments:
+        return "any"
 
     def draws(self) -> bool:
         return False

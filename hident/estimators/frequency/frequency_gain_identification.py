@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from hident.config.spec import Count, Of, Real, component
 from hident.config.suggest import did_you_mean, one_of
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, require_finite
+from hident.estimators.base import EstimatorSpec, Experiments, require_finite
 from hident.estimators.frequency.frequency_gain import FrequencyGains, frequency_gains
 from hident.estimators.frequency.gauge import AMBIGUITY, FrequencyGrid, Phases
 from hident.estimators.frequency.gauges import GAUGES, DelayFree, KnownPhase, MinimumPhase, Rational, named
@@ -143,6 +143,9 @@ class FrequencyGainIdentification(EstimatorSpec):
         """The frequencies of both blocks."""
         omega = self.omega()
         return FrequencyGrid.of(omega, [self.order] * len(omega))
+
+    def takes_experiments(self) -> Experiments:
+        return "any"
 
     def draws(self) -> bool:
         return False

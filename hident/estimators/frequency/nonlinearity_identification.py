@@ -11,7 +11,7 @@ from pydantic import Field
 
 from hident.config.spec import Count, Flag, Real, component
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, require_finite
+from hident.estimators.base import EstimatorSpec, Experiments, require_finite
 from hident.estimators.frequency.staircase_levels import (
     Levels,
     PolynomialFit,
@@ -67,6 +67,9 @@ class NonlinearityIdentification(EstimatorSpec):
     """Drift that is tolerated in any case, relative to the range of the settled outputs."""
     experiment: str | None = None
     """Name of the experiment with the staircase (default: the only one with a held input)."""
+
+    def takes_experiments(self) -> Experiments:
+        return "any"
 
     def draws(self) -> bool:
         return False

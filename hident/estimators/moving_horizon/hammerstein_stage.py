@@ -26,6 +26,7 @@ from hident.estimators.moving_horizon.static_functions import (
     three_segments,
 )
 from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
+from hident.numerics.parts import Parts
 from hident.records import Array
 from hident.systems.continuous import ContinuousTransferFunction
 
@@ -107,8 +108,9 @@ def first_stage(
     start: float,
     tolerance: float,
     max_iterations: int,
+    parts: Parts | None = None,
 ) -> FirstStage:
-    """Stage 1 from a held input ``u`` (N,) and the output ``y`` (N,).
+    """Stage 1 from a held input ``u`` (N,) and the output ``y`` (N,), of one experiment or several ``parts``.
 
     Raises
     ------
@@ -117,8 +119,8 @@ def first_stage(
     ValueError
         If the horizons do not suit the record.
     """
-    horizons = stage.horizons(len(u), dt, start, stage.n + stage.m + nonlinearity.size)
-    knots = Knots.of(u, delay, dt)
+    horizons = stage.horizons(len(u), dt, start, stage.n + stage.m + nonlinearity.size, parts)
+    knots = Knots.of(u, delay, dt, parts)
     output = horizons.transform(horizons.sampled(knots), y)
     # The input's transforms are sums over the levels that it is held at, of which there are few.
     operator, levels = horizons.held_runs(u, delay, stage.m + 1)

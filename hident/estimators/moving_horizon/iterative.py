@@ -12,10 +12,11 @@ from pydantic import Field, model_validator
 
 from hident.config.spec import Count, Flag, Real
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, require_finite
+from hident.estimators.base import EstimatorSpec, Experiments, require_finite
 from hident.estimators.moving_horizon.horizon_least_squares import scaled_condition, variance_inflation
 from hident.estimators.moving_horizon.linear_transform import LinearFit, SecondStageSpec, StageSpec
 from hident.estimators.moving_horizon.time_weighted import Horizons
+from hident.numerics.parts import Parts, whole
 from hident.records import Array, Record
 from hident.systems.continuous import ContinuousTransferFunction
 
@@ -51,12 +52,19 @@ ROUNDS = 5
 
 
 class MovingHorizonSpec(EstimatorSpec):
-    """Base of the estimators of continuous-time models over moving horizons."""
+    """Base of the estimators of continuous-time models over moving horizons.
+
+    Every horizon lies inside one experiment. Each experiment begins at rest: its input is zero before it, so
+    that the delayed input is known from the delay on, or, where it is not, from 'start' on.
+    """
 
     delay: Annotated[Real, Field(ge=0)] = 0.0
     """Delay d, in the unit of dt; need not be a multiple of dt."""
     start: Annotated[Real, Field(ge=0)] = 0.0
-    """Time t_0 at which the first horizon starts."""
+    """Time t_0 at which the first horizon starts, counted from the start of each experiment."""
+
+    def takes_experiments(self) -> Experiments:
+        return "at_one_interval"
 
     def draws(self) -> bool:
         return False
@@ -65,8 +73,12 @@ class MovingHorizonSpec(EstimatorSpec):
         return 2
 
     def check(self, n: int, dt: float | None) -> None:
+        self._check(whole(n), dt)
+
+    def _check(self, parts: Parts, dt: float | None) -> None:
         if dt is None:
             raise ValueError("a continuous-time method needs the sampling interval 'dt' of the data")
+        n = max(part.stop - part.start for part in parts)
         length = (n - 1) * dt
         for delay, field in (
             (self.delay, ""),
@@ -77,23 +89,27 @@ class MovingHorizonSpec(EstimatorSpec):
                     f"the delay {delay:g}{field} is no shorter than the record, {length:g}: "
                     "take a shorter delay or a longer record"
                 )
-        self.check_horizons(n, dt)
+        self.check_horizons(parts, dt)
 
     def tried_delays(self) -> Iterator[tuple[float, str]]:
         """The delays that a search tries, each with the field that it stands in."""
         yield from ()
 
-    def check_horizons(self, n: int, dt: float) -> None:
-        """Raise ValueError if the horizons do not suit records of ``n`` samples every ``dt``."""
+    def check_horizons(self, parts: Parts, dt: float) -> None:
+        """Raise ValueError if the horizons do not suit the experiments ``parts``, sampled every ``dt``."""
         raise NotImplementedError
+
+    def check_record(self, record: Record) -> None:
+        self.require_experiments(record)
+        try:
+            self._check(record.experiments, record.dt)
+        except ValueError as error:
+            raise EstimationError(str(error)) from None
 
     def sampling_interval(self, record: Record) -> float:
         """The sampling interval of a record that suits; EstimationError if it does not."""
         require_finite(record.y)
-        try:
-            self.check(len(record), record.dt)
-        except ValueError as error:
-            raise EstimationError(str(error)) from None
+        MovingHorizonSpec.check_record(self, record)
         if not np.any(record.y):
             raise EstimationError("the output is zero throughout")
         assert record.dt is not None
@@ -137,16 +153,16 @@ class IterativeSpec(MovingHorizonSpec):
         if self.second is not None:
             yield from ((delay, "second.delays") for delay in self.second.delays)
 
-    def check_horizons(self, n: int, dt: float) -> None:
-        stages = [self.first]
+    def check_horizons(self, parts: Parts, dt: float) -> None:
+        n, stages = parts[-1].stop, [self.first]
         if self.automatic:
             stages.append(self.first.of_structure(self.largest_n, self.largest_n - 1))
         with under("first"):
             for stage in stages:
-                stage.horizons(n, dt, self.start, stage.n + stage.m + self.function_parameters())
+                stage.horizons(n, dt, self.start, stage.n + stage.m + self.function_parameters(), parts)
         if self.second is not None:
             with under("second"):
-                self.second.check(n, dt, self.start, gain=False)
+                self.second.check(n, dt, self.start, gain=False, parts=parts)
 
     def error_names(self, lowest: int) -> list[str]:
         """The names of the standard errors of a_1, ... and of b_i from b_lowest on."""

@@ -24,7 +24,7 @@ from hident.estimators.moving_horizon.iterative import (
     second_horizon,
     structure_of,
 )
-from hident.estimators.moving_horizon.linear_transform import LinearFit, StageSpec
+from hident.estimators.moving_horizon.linear_transform import LinearFit, StageSpec, responses_in
 from hident.estimators.moving_horizon.partition import require_inside
 from hident.estimators.moving_horizon.sandwich import influence, standard_errors
 from hident.estimators.moving_horizon.searches import StructureSearch, found_searches
@@ -64,6 +64,7 @@ class IterativeHammerstein(IterativeSpec):
         return (unit_static_gain(),)
 
     def check_record(self, record: Record) -> None:
+        super().check_record(record)
         if isinstance(self.nonlinearity, ThreeSegment):
             require_inside(self.nonlinearity.partition, record.u, "input")
 
@@ -95,6 +96,7 @@ class IterativeHammerstein(IterativeSpec):
                 start=self.start,
                 tolerance=self.tolerance,
                 max_iterations=self.max_iterations,
+                parts=record.experiments,
             )
         except ValueError as error:
             raise EstimationError(str(error)) from None
@@ -106,7 +108,16 @@ class IterativeHammerstein(IterativeSpec):
             return None, None
         eta = second_horizon(first.block, _SHARE, self.second.horizon)[1]
         x = first.function(record.u)
-        return self.second.fit(record.y, x, dt, delay=first.block.delay, eta=eta, start=self.start, gain=1.0)
+        return self.second.fit(
+            record.y,
+            x,
+            dt,
+            delay=first.block.delay,
+            eta=eta,
+            start=self.start,
+            gain=1.0,
+            parts=record.experiments,
+        )
 
     def _loop(self, record: Record, dt: float) -> tuple[FirstStage, LinearFit | None, StructureSearch | None]:
         """The automatic loop of section 5: a polynomial finds the first structure."""
@@ -169,7 +180,7 @@ class IterativeHammerstein(IterativeSpec):
             by_c = onto @ np.einsum("mkp,m->kp", basis, np.array(block.b))
             own = influence(onto, second.horizons, second.knots, block.a)
             derivative = own - by_c @ derivative[-len(first.function.c) :]
-        residual = record.y - block.respond(first.function(record.u), dt)
+        residual = record.y - responses_in(record.experiments, block, first.function(record.u), dt)
         found = standard_errors(derivative, residual)
         n = len(block.a)
         return self.errors_by_name(found[:n], found[n : n + len(block.b) - 1], 1)

@@ -19,7 +19,7 @@ from hident.estimators.moving_horizon.iterative import (
     second_horizon,
     structure_of,
 )
-from hident.estimators.moving_horizon.linear_transform import LinearFit, Measured, StageSpec
+from hident.estimators.moving_horizon.linear_transform import LinearFit, Measured, StageSpec, responses_in
 from hident.estimators.moving_horizon.partition import require_inside
 from hident.estimators.moving_horizon.searches import StructureSearch, found_searches
 from hident.estimators.moving_horizon.wiener_errors import wiener_errors
@@ -100,6 +100,7 @@ class IterativeWiener(IterativeSpec):
         return (unit_static_gain(values=""), unit_slope("e_1 = 1", "b e"))
 
     def check_record(self, record: Record) -> None:
+        super().check_record(record)
         if isinstance(self.nonlinearity, FourSegmentSpec):
             require_inside(self.nonlinearity.partition, record.y, "output")
 
@@ -120,7 +121,7 @@ class IterativeWiener(IterativeSpec):
     def _first(self, record: Record, dt: float, stage: StageSpec, delay: float) -> tuple[Wiener, WienerStage]:
         parameters = stage.n + stage.m + self.function_parameters()
         try:
-            horizons = stage.horizons(len(record), dt, self.start, parameters)
+            horizons = stage.horizons(len(record), dt, self.start, parameters, record.experiments)
         except ValueError as error:
             raise EstimationError(str(error)) from None
         wiener = Wiener.of(record.u, record.y, dt, m=stage.m, delay=delay, horizons=horizons)
@@ -147,7 +148,8 @@ class IterativeWiener(IterativeSpec):
             eta=eta,
             start=self.start,
             gain=gain,
-            measured=Measured(record.y, lambda x: nonlinearity(x / gain)),
+            measured=Measured(record.y, lambda x: nonlinearity(x / gain), record.experiments),
+            parts=record.experiments,
         )
 
     def _estimate(
@@ -161,7 +163,7 @@ class IterativeWiener(IterativeSpec):
     ) -> Estimate:
         block = first.block if second is None else second.block
         unit = block.scaled(1.0 / block.b[0])
-        v = unit.respond(record.u, dt)
+        v = responses_in(record.experiments, unit, record.u, dt)
         clusters = smoothed(v, record.y, self.smooth or _CLUSTERS)
         nonlinearity = first.nonlinearity if self.smooth is None else _through(clusters)
         values = {

@@ -17,6 +17,7 @@ from hident.estimators.moving_horizon.iterative import (
 )
 from hident.estimators.moving_horizon.linear_transform import SecondStageSpec
 from hident.estimators.normalisation import Normalisation, known_function
+from hident.numerics.parts import Parts
 from hident.records import Estimate, Record
 
 
@@ -40,9 +41,9 @@ class LinearModel(MovingHorizonSpec):
     def tried_delays(self) -> Iterator[tuple[float, str]]:
         yield from ((delay, "block.delays") for delay in self.block.delays)
 
-    def check_horizons(self, n: int, dt: float) -> None:
+    def check_horizons(self, parts: Parts, dt: float) -> None:
         with under("block"):
-            self.block.check(n, dt, self.start, gain=True)
+            self.block.check(parts[-1].stop, dt, self.start, gain=True, parts=parts)
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (known_function("the nonlinearity is u", np.positive),)
@@ -57,7 +58,14 @@ class LinearModel(MovingHorizonSpec):
         dt, eta = self.sampling_interval(record), self.block.horizon
         assert eta is not None
         found, search = self.block.fit(
-            record.y, record.u, dt, delay=self.delay, eta=eta, start=self.start, gain=None
+            record.y,
+            record.u,
+            dt,
+            delay=self.delay,
+            eta=eta,
+            start=self.start,
+            gain=None,
+            parts=record.experiments,
         )
         block = found.block
         values = {

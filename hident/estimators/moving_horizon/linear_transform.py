@@ -24,6 +24,7 @@ from hident.errors import EstimationError
 from hident.estimators.moving_horizon.horizon_least_squares import solve
 from hident.estimators.moving_horizon.searches import StructureSearch
 from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
+from hident.numerics.parts import Parts, in_each, whole
 from hident.records import Array, Characteristic
 from hident.systems.continuous import ContinuousTransferFunction
 
@@ -53,10 +54,12 @@ def linear_block(
     overlap: float,
     start: float = 0.0,
     gain: float | None = None,
+    parts: Parts | None = None,
 ) -> LinearFit:
     """The block of orders n and m < n, from ``output`` (N,) and the input ``held_input`` (N,).
 
-    ``eta``, ``overlap`` and ``start`` set the horizons; ``gain`` is b_0 if it is known.
+    ``eta``, ``overlap`` and ``start`` set the horizons, inside the experiments ``parts`` (one by default);
+    ``gain`` is b_0 if it is known.
 
     Raises
     ------
@@ -64,11 +67,11 @@ def linear_block(
         If the horizons do not suit the record, or the regression is singular.
     """
     try:
-        horizons = Horizons.of(len(output), dt, eta=eta, overlap=overlap, order=n, start=start)
+        horizons = Horizons.of(len(output), dt, eta=eta, overlap=overlap, order=n, start=start, parts=parts)
         horizons.require(n + m + (gain is None))
     except ValueError as error:
         raise EstimationError(str(error)) from None
-    knots = Knots.of(held_input, delay, dt)
+    knots = Knots.of(held_input, delay, dt, parts)
     y = horizons.transform(horizons.sampled(knots), output)
     x = horizons.transform(horizons.held(delay), held_input)
     free = [x[0]] if gain is None else []
@@ -93,17 +96,28 @@ def block_of(a: ArrayLike, b: ArrayLike, delay: float) -> ContinuousTransferFunc
     return ContinuousTransferFunction(tuple(b.tolist()), tuple(a.tolist()), delay)
 
 
+def responses_in(
+    parts: Parts | None, block: ContinuousTransferFunction, held_input: Array, dt: float
+) -> Array:
+    """The response (N,) of ``block`` to ``held_input`` (N,), from rest in each experiment."""
+    return in_each(parts or whole(len(held_input)), lambda x: block.respond(x, dt), held_input)
+
+
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What was measured behind the linear block: ``y`` (N,), after the static function ``after``."""
+    """What was measured behind the linear block: ``y`` (N,), after the static function ``after``.
+
+    ``parts`` say where the experiments stand, one by default; each begins at rest.
+    """
 
     y: Array
     after: Characteristic
+    parts: Parts | None = None
 
     @classmethod
-    def directly(cls, output: Array) -> Measured:
+    def directly(cls, output: Array, parts: Parts | None = None) -> Measured:
         """The block's own output."""
-        return cls(output, lambda x: x)
+        return cls(output, lambda x: x, parts)
 
     def error_of(self, block: ContinuousTransferFunction, held_input: Array, dt: float) -> float:
         """Root mean square of the simulated output's error over the output's standard deviation.
@@ -112,7 +126,7 @@ class Measured:
         """
         if not block.is_stable():
             return math.inf
-        residual = self.y - self.after(block.respond(held_input, dt))
+        residual = self.y - self.after(responses_in(self.parts, block, held_input, dt))
         error = float(np.sqrt(np.mean(residual**2)) / np.std(self.y))
         return error if math.isfinite(error) else math.inf
 
@@ -130,6 +144,7 @@ def search_structure(
     gain: float | None = None,
     measured: Measured | None = None,
     nearly_best: float = 1.25,
+    parts: Parts | None = None,
 ) -> tuple[LinearFit, StructureSearch]:
     """The block of the simplest structure (n, m, d) that is nearly the best.
 
@@ -147,7 +162,7 @@ def search_structure(
     EstimationError
         If no candidate is stable.
     """
-    measured = measured or Measured.directly(output)
+    measured = measured or Measured.directly(output, parts)
     fits: list[LinearFit | None] = []
     candidates = [(n, m, d) for d in delays for n in range(1, largest_n + 1) for m in range(n)]
     errors, refused = [], ""
@@ -164,6 +179,7 @@ def search_structure(
                 overlap=overlap,
                 start=start,
                 gain=gain,
+                parts=parts,
             )
         except EstimationError as error_of_one:
             refused = f" (the last: {error_of_one})"
@@ -209,9 +225,13 @@ class StageSpec(Spec):
         """The same horizons for a block of other orders."""
         return self.model_copy(update={"n": n, "m": m})
 
-    def horizons(self, samples: int, dt: float, start: float, parameters: int) -> Horizons:
+    def horizons(
+        self, samples: int, dt: float, start: float, parameters: int, parts: Parts | None = None
+    ) -> Horizons:
         """The horizons; ValueError if they do not suit the record or the number of parameters."""
-        horizons = Horizons.of(samples, dt, eta=self.horizon, overlap=self.overlap, order=self.n, start=start)
+        horizons = Horizons.of(
+            samples, dt, eta=self.horizon, overlap=self.overlap, order=self.n, start=start, parts=parts
+        )
         horizons.require(parameters)
         return horizons
 
@@ -255,12 +275,12 @@ class SecondStageSpec(Spec):
             require_proper(self.n, self.m)
         return self
 
-    def check(self, samples: int, dt: float, start: float, *, gain: bool) -> None:
+    def check(self, samples: int, dt: float, start: float, *, gain: bool, parts: Parts | None = None) -> None:
         """Raise ValueError if given horizons do not suit the record; ``gain``: whether b_0 is free."""
         if self.horizon is None:
             return
         horizons = Horizons.of(
-            samples, dt, eta=self.horizon, overlap=self.overlap, order=self.most, start=start
+            samples, dt, eta=self.horizon, overlap=self.overlap, order=self.most, start=start, parts=parts
         )
         horizons.require(self.most + (self.m if self.n is not None else self.most - 1) + gain)
 
@@ -280,6 +300,7 @@ class SecondStageSpec(Spec):
         start: float,
         gain: float | None,
         measured: Measured | None = None,
+        parts: Parts | None = None,
     ) -> tuple[LinearFit, StructureSearch | None]:
         """The second stage's block, by horizons of length ``eta``, and the search for its structure."""
         if self.n is None:
@@ -295,6 +316,7 @@ class SecondStageSpec(Spec):
                 gain=gain,
                 measured=measured,
                 nearly_best=self.nearly_best,
+                parts=parts,
             )
         fit = linear_block(
             output,
@@ -307,6 +329,7 @@ class SecondStageSpec(Spec):
             overlap=self.overlap,
             start=start,
             gain=gain,
+            parts=parts,
         )
         return fit, None
 

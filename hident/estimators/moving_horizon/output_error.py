@@ -28,7 +28,9 @@ from hident.estimators.moving_horizon.four_segment import (
     forward_by_slopes,
     forward_slope,
 )
+from hident.estimators.moving_horizon.linear_transform import responses_in
 from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
+from hident.numerics.parts import Parts
 from hident.records import Array
 from hident.systems.continuous import ContinuousTransferFunction
 
@@ -98,8 +100,12 @@ _Model = Callable[[Array], _Point | None]
 """The model at ``theta``, None where there is none: an unstable block, a slope that is not positive."""
 
 
-def sensitivities(block: ContinuousTransferFunction, x: Array, dt: float) -> Array:
+def sensitivities(
+    block: ContinuousTransferFunction, x: Array, dt: float, parts: Parts | None = None
+) -> Array:
     """The derivatives of ``block.respond(x, dt)`` by a_1, ..., a_n, b_0, ..., b_m, shape (N, n + m + 1).
+
+    Each experiment begins at rest; ``parts`` say where they stand, one by default.
 
     They are responses to the held input ``x`` (N,) themselves, of -s^i B/A^2 and of s^i/A, and as exact.
     """
@@ -113,7 +119,7 @@ def sensitivities(block: ContinuousTransferFunction, x: Array, dt: float) -> Arr
     by_b = [
         ContinuousTransferFunction((0.0,) * i + (1.0,), block.a, block.delay) for i in range(len(block.b))
     ]
-    return np.column_stack([derivative.respond(x, dt) for derivative in (*by_a, *by_b)])
+    return np.column_stack([responses_in(parts, derivative, x, dt) for derivative in (*by_a, *by_b)])
 
 
 def _solved(columns: Array, y: Array) -> _Solved:
@@ -171,7 +177,11 @@ def _gauss_newton(model: _Model, theta: Array, size: float) -> tuple[_Point, Arr
 
 
 def refine_hammerstein(
-    basis_values: Array, y: Array, block: ContinuousTransferFunction, dt: float
+    basis_values: Array,
+    y: Array,
+    block: ContinuousTransferFunction,
+    dt: float,
+    parts: Parts | None = None,
 ) -> Refinement:
     """Fit y = B e^(-ds)/A sum_j c_j phi_j(u) + white noise, with b_0 = 1.
 
@@ -180,11 +190,13 @@ def refine_hammerstein(
     basis_values : array, shape (N, J)
         The basis functions phi_j of the held input.
     y : array, shape (N,)
-        The output; the system is at rest before the first sample.
+        The output; the system is at rest before the first sample of each experiment.
     block : ContinuousTransferFunction
         The start, with b_0 other than zero; its delay is kept.
     dt : float
         Sampling interval.
+    parts : sequence of slices, optional
+        Where the experiments stand; one by default.
 
     Returns
     -------
@@ -209,9 +221,9 @@ def refine_hammerstein(
         at = unpacked(theta)
         if at is None:
             return None
-        responses = np.column_stack([at.respond(phi, dt) for phi in basis_values.T])
+        responses = np.column_stack([responses_in(parts, at, phi, dt) for phi in basis_values.T])
         c = _solved(responses, y).solution
-        outer = np.delete(sensitivities(at, basis_values @ c, dt), n, axis=1)
+        outer = np.delete(sensitivities(at, basis_values @ c, dt, parts), n, axis=1)
         return _Point(theta, c, y - responses @ c, np.hstack([outer, responses]))
 
     start = np.concatenate((block.a, np.array(block.b[1:]) / block.b[0]))
@@ -222,20 +234,27 @@ def refine_hammerstein(
 
 
 def refine_wiener(
-    u: Array, y: Array, block: ContinuousTransferFunction, nonlinearity: FourSegment, dt: float
+    u: Array,
+    y: Array,
+    block: ContinuousTransferFunction,
+    nonlinearity: FourSegment,
+    dt: float,
+    parts: Parts | None = None,
 ) -> Refinement:
     """Fit y = f(B e^(-ds)/A u) + white noise, f being the four-segment function of eq. (32).
 
     Parameters
     ----------
     u, y : array, shape (N,)
-        The held input, and the output; the system is at rest before the first sample.
+        The held input, and the output; the system is at rest before the first sample of each experiment.
     block : ContinuousTransferFunction
         The start; its delay is kept.
     nonlinearity : FourSegment
         The start, with the gain 1; its partition points are kept.
     dt : float
         Sampling interval.
+    parts : sequence of slices, optional
+        Where the experiments stand; one by default.
 
     Returns
     -------
@@ -256,8 +275,8 @@ def refine_wiener(
         at, e = _stable(theta[:n], theta[n:p], block.delay), theta[p:]
         if at is None or not np.all(e > 0.0):
             return None
-        x = at.respond(u, dt)
-        by_block = forward_slope(x, e, *points)[:, None] * sensitivities(at, u, dt)
+        x = responses_in(parts, at, u, dt)
+        by_block = forward_slope(x, e, *points)[:, None] * sensitivities(at, u, dt, parts)
         jacobian = np.hstack([by_block, forward_by_slopes(x, e, *points)])
         return _Point(theta, e, y - forward(x, e, *points), jacobian)
 

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import AfterValidator
 
 from hident.config.spec import Of, component
-from hident.estimators.base import EstimatorSpec
+from hident.estimators.base import EstimatorSpec, Experiments
 from hident.estimators.moving_horizon.four_segment import FourSegment
 from hident.estimators.moving_horizon.iterative import IterativeSpec
 from hident.estimators.moving_horizon.iterative_hammerstein import IterativeHammerstein
@@ -43,6 +43,9 @@ class OutputError(EstimatorSpec):
     start: Annotated[IterativeSpec, Of("estimator"), AfterValidator(_refinable)]
     """The estimate to start from: iterative_hammerstein or iterative_wiener."""
 
+    def takes_experiments(self) -> Experiments:
+        return self.start.takes_experiments()
+
     def draws(self) -> bool:
         return False
 
@@ -74,12 +77,13 @@ class OutputError(EstimatorSpec):
         return frozenset({"nonlinearity", "continuous", "response"} | values)
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        self.require_experiments(record)
         begun = self.start.fit(record, rng)
         block, function, dt = begun.continuous, begun.nonlinearity, record.dt
         assert block is not None
         assert dt is not None
         if isinstance(function, PolynomialFunction | ThreeSegmentFunction):
-            found = refine_hammerstein(function.basis(record.u), record.y, block, dt)
+            found = refine_hammerstein(function.basis(record.u), record.y, block, dt, record.experiments)
             refined = replace(function, c=tuple(found.coefficients.tolist()))
             return Estimate(
                 nonlinearity=refined,
@@ -89,7 +93,8 @@ class OutputError(EstimatorSpec):
             )
         assert isinstance(function, FourSegment)
         bent = replace(function, gain=1.0)
-        found = refine_wiener(record.u, record.y, block.scaled(function.gain), bent, dt)
+        start = block.scaled(function.gain)
+        found = refine_wiener(record.u, record.y, start, bent, dt, record.experiments)
         gain = found.block.b[0]
         e_far, e_near, e_2 = found.coefficients.tolist()
         unit, curve = found.block.scaled(1.0 / gain), replace(function, e=(e_far, e_near, e_2), gain=gain)

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.numerics.parts import Parts, whole
 from hident.records import Array
 
 if TYPE_CHECKING:
@@ -39,19 +40,21 @@ def fewest_samples(order: int) -> int:
 
 @dataclass(frozen=True)
 class Knots:
-    """Samples where a signal may have a kink: ``phase`` + k ``hold`` for whole k; none if ``hold`` is 0."""
+    """Samples of an experiment where a signal may have a kink: ``phase`` + k ``hold``; none for hold 0."""
 
     hold: int = 0
     phase: int = 0
 
     @classmethod
-    def of(cls, held_input: Array, delay: float, dt: float) -> Knots:
-        """The knots of the response to a held input (N,) after a delay.
+    def of(cls, held_input: Array, delay: float, dt: float, parts: Parts | None = None) -> Knots:
+        """The knots of the response to a held input (N,) after a delay, counted from each experiment's start.
 
         They lie as far apart as all changes of the input allow. None are seen if that is less than the
         stencil of an interpolation, or if the delay takes them off the samples.
         """
-        hold = int(np.gcd.reduce(np.flatnonzero(np.diff(held_input)) + 1, initial=0))
+        inputs = [held_input[part] for part in parts or whole(len(held_input))]
+        changes = [np.flatnonzero(np.diff(one)) + 1 for one in inputs]
+        hold = int(np.gcd.reduce(np.concatenate(changes), initial=0))
         shift = delay / dt
         if hold < _STENCIL - 1 or abs(shift - round(shift)) > _WHOLE:
             return SMOOTH
@@ -75,7 +78,8 @@ class Horizons:
     """Moving horizons (24) over a record of ``samples`` samples; lengths and times are in samples.
 
     The k-th horizon starts at ``first`` + k ``stride``, rounded to a sample, and is ``length`` intervals
-    long; ``order`` is n, the highest derivative.
+    long; ``order`` is n, the highest derivative. Of several ``experiments`` (start, stop, horizons) each has
+    its own horizons, from its own start on, none of which reaches into another; ``count`` is that of all.
     """
 
     samples: int
@@ -85,14 +89,24 @@ class Horizons:
     count: int
     order: int
     dt: float
+    experiments: tuple[tuple[int, int, int], ...] = ()
 
     @classmethod
     def of(
-        cls, samples: int, dt: float, *, eta: float, overlap: float, order: int, start: float = 0.0
+        cls,
+        samples: int,
+        dt: float,
+        *,
+        eta: float,
+        overlap: float,
+        order: int,
+        start: float = 0.0,
+        parts: Parts | None = None,
     ) -> Horizons:
         """The horizons (24) for a length ``eta``, the fraction ``overlap`` (lambda) and the start t_0.
 
-        Their number is that of the paper's tables: floor((t_f - t_0 - eta)/(lambda eta)).
+        Their number is that of the paper's tables: floor((t_f - t_0 - eta)/(lambda eta)), in each of the
+        ``parts``, one by default, that is long enough.
 
         Raises
         ------
@@ -106,18 +120,23 @@ class Horizons:
                 f"{fewest_samples(order)}: take a horizon of at least {fewest_samples(order) * dt:g} "
                 f"or a sampling interval of at most {eta / fewest_samples(order):g}"
             )
-        end = (samples - 1) * dt
+        parts = parts or whole(samples)
+        end = (max(part.stop - part.start for part in parts) - 1) * dt
         if start >= end:
             raise ValueError(
                 f"the start {start:g} lies after the record's end {end:g}: take an earlier start"
             )
-        count = math.floor((end - start - eta) / (overlap * eta) + _WHOLE)
-        if count < 1:
+        counts = [
+            max(math.floor(((part.stop - part.start - 1) * dt - start - eta) / (overlap * eta) + _WHOLE), 0)
+            for part in parts
+        ]
+        if not any(counts):
             raise ValueError(
                 f"the horizon {eta:g} is too long for the record: it spans {end - start:g} from the start "
                 f"{start:g}, and {(1.0 + overlap) * eta:g} is the least that holds one horizon"
             )
-        return cls(samples, length, start / dt, overlap * length, count, order, dt)
+        experiments = tuple((part.start, part.stop, n) for part, n in zip(parts, counts, strict=True))
+        return cls(samples, length, start / dt, overlap * length, sum(counts), order, dt, experiments)
 
     @property
     def eta(self) -> float:
@@ -132,11 +151,25 @@ class Horizons:
                 "a smaller overlap step or a longer record"
             )
 
+    @property
+    def parts(self) -> Parts:
+        """Where the experiments stand."""
+        return tuple(slice(begin, end) for begin, end, _ in self.experiments)
+
     @cached_property
     def starts(self) -> NDArray[np.int64]:
         """The first sample of each horizon, shape (count,)."""
-        exact = np.rint(self.first + self.stride * np.arange(self.count)).astype(np.int64)
-        return np.asarray(np.minimum(exact, self.samples - 1 - self.length))
+        found = []
+        for begin, end, count in self.experiments:
+            exact = np.rint(self.first + self.stride * np.arange(count)).astype(np.int64)
+            found.append(begin + np.minimum(exact, end - begin - 1 - self.length))
+        return np.concatenate(found)
+
+    @cached_property
+    def bounds(self) -> NDArray[np.int64]:
+        """Where each horizon's experiment begins and ends, shape (2, count)."""
+        begins, ends, counts = np.array(self.experiments).T
+        return np.repeat(np.array([begins, ends]), counts, axis=1)
 
     def sampled(self, knots: Knots = SMOOTH) -> csr_array:
         """The operator for signals given by samples of a function that is smooth between the ``knots``.
@@ -153,7 +186,7 @@ class Horizons:
     def held(self, delay: float = 0.0) -> csr_array:
         """The operator for signals held from sample to sample and delayed by ``delay``, as :meth:`sampled`.
 
-        Exact. Before the record the signal is zero.
+        Exact. Before each experiment the signal is zero.
         """
         return _kept(_held, self, delay)
 
@@ -169,7 +202,8 @@ class Horizons:
         # A sparse array copies all indices that are not of one type.
         index = np.dtype(np.int32 if rows * width <= np.iinfo(np.int32).max else np.int64)
         columns = np.add.outer(self.starts + shift, np.arange(width), dtype=index, casting="same_kind")
-        outside = (columns < 0) | (columns >= self.samples)
+        begins, ends = self.bounds[..., None]
+        outside = (columns < begins) | (columns >= ends)
         np.clip(columns, 0, self.samples - 1, out=columns)
         data = np.take(weights / self.eta ** np.arange(orders)[:, None, None], kind, axis=1)
         data[:, outside] = 0.0
@@ -197,14 +231,18 @@ class Horizons:
 
 def _sampled(horizons: Horizons, knots: Knots) -> csr_array:
     length, order, starts = horizons.length, horizons.order, horizons.starts
-    # Horizons that lie alike among the knots have the same weights, except next to the record's ends.
-    inner = (starts >= _STENCIL) & (starts + length + _STENCIL <= horizons.samples)
-    alike = np.where(inner, (starts - knots.phase) % max(knots.hold, 1), -1 - starts)
+    begins, ends = horizons.bounds
+    # Horizons that lie alike among the knots have the same weights, except next to an experiment's ends.
+    inner = (starts - begins >= _STENCIL) & (starts + length + _STENCIL <= ends)
+    alike = np.where(inner, (starts - begins - knots.phase) % max(knots.hold, 1), -1 - starts)
     _, some, kind = np.unique(alike, return_index=True, return_inverse=True)
     # A horizon's stencils reach at most this far out of it.
     reach, width = _STENCIL, length + 1 + 2 * _STENCIL
     cells = starts[some, None] + np.arange(length)
-    first = knots.stencils(horizons.samples - 1)[cells]
+    stencils = np.zeros(horizons.samples, dtype=np.int64)
+    for begin, end, _ in horizons.experiments:
+        stencils[begin : end - 1] = begin + knots.stencils(end - begin - 1)
+    first = stencils[cells]
     columns = first[..., None] + np.arange(_STENCIL) - (starts[some, None, None] - reach)
     flat = (columns + width * np.arange(len(some))[:, None, None]).ravel()
     weights = [

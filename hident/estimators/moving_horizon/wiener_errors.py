@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from hident.estimators.moving_horizon.four_segment import forward, inverse_slope, segments
-from hident.estimators.moving_horizon.linear_transform import LinearFit
+from hident.estimators.moving_horizon.linear_transform import LinearFit, responses_in
 from hident.estimators.moving_horizon.output_error import sensitivities
 from hident.estimators.moving_horizon.sandwich import influence, standard_errors
 from hident.estimators.moving_horizon.time_weighted import Knots
@@ -47,21 +47,21 @@ def wiener_errors(
     second : LinearFit or None
         The second stage's block, of the first stage's b_0.
     """
-    n, a = wiener.n, np.array(block.a)
+    n, a, parts = wiener.n, np.array(block.a), wiener.horizons.parts
     linear = n + wiener.m + 1
     g = segments(wiener.y, *points)
-    by_block = wiener.transforms(sensitivities(block, wiener.u, wiener.dt), wiener.derivatives)
+    by_block = wiener.transforms(sensitivities(block, wiener.u, wiener.dt, parts), wiener.derivatives)
     by_slopes = wiener.transforms(g, wiener.derivatives)
     jacobian = phi.copy()
     jacobian[:, :linear] -= weight * (by_block @ a).T
     jacobian[:, linear:] += (1.0 - weight) * (by_slopes @ a).T
     bread = np.asarray(np.linalg.solve(phi.T @ jacobian, phi.T), dtype=float)
     slope = inverse_slope(wiener.y, e, *points)
-    knots = Knots.of(wiener.u, wiener.delay, wiener.dt)
+    knots = Knots.of(wiener.u, wiener.delay, wiener.dt, parts)
     feedback = tuple(((1.0 - weight) * a).tolist())
     first = slope * influence(bread, wiener.horizons, knots, feedback)
     if second is None:
-        residual = wiener.y - forward(block.respond(wiener.u, wiener.dt), e, *points)
+        residual = wiener.y - forward(responses_in(parts, block, wiener.u, wiener.dt), e, *points)
         found = standard_errors(first, residual)
         return found[:n], found[n:linear]
     found_block, horizons = second.block, second.horizons
@@ -72,7 +72,7 @@ def wiener_errors(
     by_gain = -horizons.transform(horizons.held(found_block.delay), wiener.u)[0]
     derivative = slope * influence(onto, horizons, second.knots, found_block.a)
     derivative += onto @ (by_c @ first[linear:] + np.outer(by_gain, first[n]))
-    residual = wiener.y - forward(found_block.respond(wiener.u, wiener.dt), e, *points)
+    residual = wiener.y - forward(responses_in(parts, found_block, wiener.u, wiener.dt), e, *points)
     order = len(found_block.a)
     found = standard_errors(np.vstack([derivative, first[n]]), residual)
     return found[:order], np.concatenate((found[-1:], found[order:-1]))

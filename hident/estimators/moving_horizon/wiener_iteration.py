@@ -24,6 +24,7 @@ from hident.estimators.moving_horizon.batched_blocks import responses, time_cons
 from hident.estimators.moving_horizon.four_segment import left_segments, right_segment
 from hident.estimators.moving_horizon.horizon_least_squares import solve
 from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
+from hident.numerics.parts import in_each
 from hident.records import Array
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ class Wiener:
     @classmethod
     def of(cls, u: Array, y: Array, dt: float, *, m: int, delay: float, horizons: Horizons) -> Self:
         """The transforms of input and output, both (N,), over ``horizons`` of order n."""
-        operator = horizons.sampled(Knots.of(u, delay, dt))
+        operator = horizons.sampled(Knots.of(u, delay, dt, horizons.parts))
         inputs = horizons.transform(horizons.held(delay), u)[: m + 1].T
         outputs = horizons.transform(operator, y).T
         return cls(u, y, dt, horizons.order, m, delay, horizons, operator, inputs, outputs)
@@ -82,12 +83,12 @@ class Wiener:
         return self.internal(theta[None])[:, 0] if np.all(np.isfinite(theta)) else self.y
 
     def internal(self, theta: Array, tau: NDArray[np.complex128] | None = None) -> Array:
-        """x_lin (N, J) of (28a) for parameters (J, P), poles reflected into the left half plane.
+        """x_lin (N, J) of (28a) for parameters (J, P), from rest, poles reflected into the left half plane.
 
         ``tau`` (J, n) are the blocks' :func:`time_constants`, if they are known.
         """
         a, b, _ = self.split(theta)
-        return responses(a, b, self.delay, self.u, self.dt, tau)
+        return in_each(self.horizons.parts, lambda u: responses(a, b, self.delay, u, self.dt, tau), self.u)
 
     def split(self, theta: Array) -> tuple[Array, Array, Array]:
         """a (..., n), b (..., m + 1) and c (..., r) in ``theta``."""

@@ -29,6 +29,7 @@ from hident.estimators.moving_horizon.wiener_iteration import (
     Wiener,
     iterate,
 )
+from hident.numerics.parts import in_each, longer_than
 from hident.records import Array, Characteristic
 from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.nonlinearity import Polynomial
@@ -107,7 +108,7 @@ class WienerStage:
 def first_stage(wiener: Wiener, spec: NonlinearitySpec, rule: Rule, start: float) -> WienerStage:
     """The iteration of section 4.2, after a search for the partition points if none are given.
 
-    ``start`` is t_0, from which on the search compares the outputs (31).
+    ``start`` is t_0, from which on the search compares the outputs (31) of each experiment.
 
     Raises
     ------
@@ -275,7 +276,9 @@ def _some_losses(wiener: Wiener, rule: Rule, start: float, points: Array, x: Arr
     theta = found.theta[sound]
     e = 1.0 - wiener.split(theta)[2]
     first = round(start / wiener.dt)
-    output = forward(wiener.internal(theta)[first:], e.T, *points[:, sound])
+    parts = longer_than(wiener.horizons.parts, first)
+    x, y = (in_each(parts, lambda part: part[first:], one) for one in (wiener.internal(theta), wiener.y))
+    output = forward(x, e.T, *points[:, sound])
     losses = np.full(len(sound), np.nan)
-    losses[sound] = wiener.dt * np.sum((wiener.y[first:, None] - output) ** 2, axis=0)
+    losses[sound] = wiener.dt * np.sum((y[:, None] - output) ** 2, axis=0)
     return losses

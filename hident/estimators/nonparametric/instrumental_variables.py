@@ -16,14 +16,17 @@ from pydantic import Field
 
 from hident.config.spec import Count, Of, component
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, require_finite
+from hident.estimators.base import EstimatorSpec, Experiments, require_finite
 from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED, dynamics, lagged
 from hident.estimators.normalisation import Normalisation, first_coefficient
+from hident.numerics.parts import Parts
 from hident.records import Array, Estimate, Record
 from hident.systems.base import NonlinearitySpec
 
 
-def instrumental_variables(y: Array, m: Array, p: int, ma_order: int = 0) -> Estimate:
+def instrumental_variables(
+    y: Array, m: Array, p: int, ma_order: int = 0, parts: Parts | None = None
+) -> Estimate:
     """Identify the linear block with the instruments m(u_k).
 
     Parameters
@@ -34,6 +37,8 @@ def instrumental_variables(y: Array, m: Array, p: int, ma_order: int = 0) -> Est
         Order of the autoregression A, at least 1.
     ma_order : int
         Order q of the moving average B = 1 + b_1 z^-1 + ... + b_q z^-q.
+    parts : sequence of slices, optional
+        Where the experiments stand; one by default.
 
     Returns
     -------
@@ -44,15 +49,15 @@ def instrumental_variables(y: Array, m: Array, p: int, ma_order: int = 0) -> Est
     Raises
     ------
     EstimationError
-        If Psi'Phi is singular.
+        If Psi'Phi is singular, or (q > 0) the instruments are uncorrelated with what A leaves of the output.
 
     Notes
     -----
     Mzyk 2009, eq. (9)-(13). The input must be white and independent of the noise.
 
-    Differs from the paper: the record has no outputs before its first, so the sums begin at k = p + q, not
-    at the first sample. For q > 0 (remark 3's invertible ARMA block) the instruments are delayed by q more
-    samples, which makes them uncorrelated with w_k, ..., w_{k-q} and so identifies A; then
+    Differs from the paper: a record has no outputs before its first, so the sums begin at k = p + q, not
+    at the first sample, in each experiment. For q > 0 (remark 3's invertible ARMA block) the instruments are
+    delayed by q more samples, which makes them uncorrelated with w_k, ..., w_{k-q} and so identifies A; then
     cov((A y)_k, m(u_{k-l})) = b_l cov(w_k, m(u_k)) gives B, with b_0 = 1 as the paper's gamma_0 = 1. The
     constant of the regression is then B(1) E w_k, and ``c`` is that divided by B(1). Remark 3's own way for
     an invertible filter is a high order p with q = 0.
@@ -61,8 +66,9 @@ def instrumental_variables(y: Array, m: Array, p: int, ma_order: int = 0) -> Est
     q = ma_order
     start = p + q
     # Eq. (12)
-    phi = lagged(y, range(1, p + 1), start)
-    psi = lagged(m, range(1 + q, p + q + 1), start)
+    outputs = lagged(y, range(p + 1), start, parts)
+    now, phi = outputs[0], outputs[1:]
+    psi = lagged(m, range(1 + q, p + q + 1), start, parts)
     phi_scale, psi_scale = _lengths(phi), _lengths(psi)
     moments = (psi @ phi.T) / np.outer(psi_scale, phi_scale)
     condition = float(np.linalg.cond(moments))
@@ -72,16 +78,30 @@ def instrumental_variables(y: Array, m: Array, p: int, ma_order: int = 0) -> Est
             "the output, or the order is too high; choose an instrument that is odd for an odd nonlinearity "
             "and even for an even one, or a lower order"
         )
-    theta = np.linalg.solve(moments, psi @ y[start:] / psi_scale) / phi_scale
+    theta = np.linalg.solve(moments, psi @ now / psi_scale) / phi_scale
     a, constant = theta[:p], float(theta[p])
 
     b = np.ones(1)
     if q:
-        undone = y[start:] - a @ phi[:p]
+        undone = now - a @ phi[:p]
         undone -= undone.mean()
-        covariance = lagged(m, range(q + 1), start)[:-1] @ undone
+        instruments = lagged(m, range(q + 1), start, parts)[:-1]
+        covariance = instruments @ undone
+        if not abs(covariance[0]) > _UNCORRELATED * np.linalg.norm(instruments[0]) * np.linalg.norm(now):
+            raise EstimationError(
+                "the instruments are not correlated with what the feedback leaves of the output: the moving "
+                "average cannot be told; use an input that varies irregularly, or another instrument"
+            )
         b = covariance / covariance[0]
+        if not abs(b.sum()) > _UNCORRELATED * np.abs(b).sum():
+            raise EstimationError(
+                "the moving average has no static gain (1 + b_1 + ... is zero): the constant c cannot be told"
+            )
     return dynamics(a, b, constant / float(b.sum()), condition)
+
+
+# A correlation coefficient below this is rounding.
+_UNCORRELATED = 1e-12
 
 
 def _lengths(rows: Array) -> Array:
@@ -93,7 +113,10 @@ def _lengths(rows: Array) -> Array:
 
 @component("estimator", "instrumental_variables", source="Mzyk 2009, eq. (12)")
 class InstrumentalVariables(EstimatorSpec):
-    """Linear block by instrumental variables m(u); consistent under output noise."""
+    """Linear block by instrumental variables m(u); consistent under output noise.
+
+    The first ``order`` + ``ma_order`` samples of each experiment serve as past samples only.
+    """
 
     identifies_dynamics: ClassVar[bool] = True
 
@@ -104,6 +127,9 @@ class InstrumentalVariables(EstimatorSpec):
     ma_order: Annotated[Count, Field(ge=0)] = 0
     """Order q of the moving average b_1, ..., b_q (b_0 = 1)."""
 
+    def takes_experiments(self) -> Experiments:
+        return "at_one_interval"
+
     def draws(self) -> bool:
         return False
 
@@ -113,10 +139,13 @@ class InstrumentalVariables(EstimatorSpec):
         return frozenset({"linear", "value c", *feedback, *numerator})
 
     def fewest_samples(self) -> int:
-        return 2 * self.order + self.ma_order + 1
+        # What the feedback leaves of the output, and the moving average needs, takes one equation more.
+        return 2 * self.order + self.ma_order + (2 if self.ma_order else 1)
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (first_coefficient(),)
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
-        return instrumental_variables(record.y, self.instrument(record.u), self.order, self.ma_order)
+        self.require_experiments(record)
+        m = self.instrument(record.u)
+        return instrumental_variables(record.y, m, self.order, self.ma_order, record.experiments)

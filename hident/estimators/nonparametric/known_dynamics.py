@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from hident.config.spec import component
-from hident.estimators.base import EstimatorSpec
+from hident.estimators.base import EstimatorSpec, Experiments
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.records import Estimate, Record
 from hident.systems.base import Coefficients, Numerator
@@ -25,6 +25,10 @@ class KnownDynamics(EstimatorSpec):
     b: Numerator = (1.0,)
     """Numerator b_0, b_1, ..."""
 
+    def takes_experiments(self) -> Experiments:
+        # The block is a discrete one, and those who use it work at its interval.
+        return "at_one_interval"
+
     def draws(self) -> bool:
         return False
 
@@ -39,6 +43,7 @@ class KnownDynamics(EstimatorSpec):
         return (first_coefficient(lag, self.b[lag]),)
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        self.require_experiments(record)
         block = self._block()
         return Estimate(linear=block, values=block.values())
 

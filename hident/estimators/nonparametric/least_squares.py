@@ -12,8 +12,9 @@ from pydantic import Field
 
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, require_finite
+from hident.estimators.base import EstimatorSpec, Experiments, require_finite
 from hident.estimators.normalisation import Normalisation, first_coefficient
+from hident.numerics.parts import Parts, in_each, longer_than, whole
 from hident.records import Array, Estimate, Record
 from hident.systems.linear import TransferFunction
 
@@ -21,16 +22,29 @@ ILL_CONDITIONED = 1e12
 """Condition number, of columns scaled to length one, from which an estimate counts as singular."""
 
 
-def lagged(x: Array, lags: range, start: int) -> Array:
-    """The rows x_{k-lag} for each lag, then a row of ones, at k = start, ..., N-1.
+def lagged(x: Array, lags: range, start: int, parts: Parts | None = None) -> Array:
+    """The rows x_{k-lag} for each lag, then a row of ones, at k = start, ..., N-1 of each experiment.
 
-    ``x`` has shape (N,), the result (len(lags) + 1, N - start).
+    ``x`` has shape (N,), the result (len(lags) + 1, N - start) for one experiment.
+
+    Raises
+    ------
+    EstimationError
+        If no experiment holds more than ``start`` samples.
     """
-    n = len(x) - start
-    rows = np.ones((len(lags) + 1, n))
-    for row, lag in zip(rows, lags, strict=False):
-        row[:] = x[start - lag : start - lag + n]
-    return rows
+
+    def rows_of(x: Array) -> Array:
+        n = len(x) - start
+        rows = np.ones((len(lags) + 1, n))
+        for row, lag in zip(rows, lags, strict=False):
+            row[:] = x[start - lag : start - lag + n]
+        return rows
+
+    if not (long := longer_than(parts or whole(len(x)), start)):
+        raise EstimationError(
+            f"no experiment holds more than {start} samples, and so far back the order looks"
+        )
+    return in_each(long, rows_of, x, axis=1)
 
 
 def dynamics(a: Array, b: Array, c: float, condition: float) -> Estimate:
@@ -40,15 +54,17 @@ def dynamics(a: Array, b: Array, c: float, condition: float) -> Estimate:
     return Estimate(linear=linear, values={**values, "c": c}, diagnostics={"condition": condition})
 
 
-def least_squares(y: Array, p: int) -> Estimate:
+def least_squares(y: Array, p: int, parts: Parts | None = None) -> Estimate:
     """Fit y_k = a_1 y_{k-1} + ... + a_p y_{k-p} + c by least squares.
 
     Parameters
     ----------
     y : array, shape (N,)
-        The output; the N - p equations k = p, ..., N-1 are used.
+        The output; the N - p equations k = p, ..., N-1 of each experiment are used.
     p : int
         Order of the autoregression, at least 1.
+    parts : sequence of slices, optional
+        Where the experiments stand; one by default.
 
     Returns
     -------
@@ -68,11 +84,12 @@ def least_squares(y: Array, p: int) -> Estimate:
     """
     require_finite(y)
     # Mzyk 2009, eq. (9), (11)
-    phi = lagged(y, range(1, p + 1), p)
+    rows = lagged(y, range(p + 1), p, parts)
+    now, phi = rows[0], rows[1:]
     scale = np.linalg.norm(phi, axis=1)
     scale[scale == 0.0] = 1.0
     phi /= scale[:, None]
-    theta, _, _, singular_values = np.linalg.lstsq(phi.T, y[p:], rcond=None)
+    theta, _, _, singular_values = np.linalg.lstsq(phi.T, now, rcond=None)
     if phi.shape[1] <= p or singular_values[-1] * ILL_CONDITIONED <= singular_values[0]:
         raise EstimationError(
             "the past outputs are linearly dependent: the output hardly varies, the record is too short, "
@@ -84,12 +101,18 @@ def least_squares(y: Array, p: int) -> Estimate:
 
 @component("estimator", "least_squares")
 class LeastSquares(EstimatorSpec):
-    """Autoregressive block by least squares; consistent only without output noise, good when it is small."""
+    """Autoregressive block by least squares; consistent only without output noise, good when it is small.
+
+    The first ``order`` samples of each experiment serve as past outputs only.
+    """
 
     identifies_dynamics: ClassVar[bool] = True
 
     order: Annotated[Count, Field(ge=1)]
     """Order p of the autoregression."""
+
+    def takes_experiments(self) -> Experiments:
+        return "at_one_interval"
 
     def draws(self) -> bool:
         return False
@@ -104,4 +127,5 @@ class LeastSquares(EstimatorSpec):
         return (first_coefficient(),)
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
-        return least_squares(record.y, self.order)
+        self.require_experiments(record)
+        return least_squares(record.y, self.order, record.experiments)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,14 @@ from pydantic_core import PydanticCustomError
 from hident.config.spec import Component, Of, Real, Spec, components
 from hident.config.suggest import one_of
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec
+from hident.estimators.base import EstimatorSpec, Experiments
 from hident.estimators.normalisation import Normalisation, first_coefficient
+from hident.numerics.parts import Parts, in_each, longer_than, whole
 from hident.records import Array, Characteristic, Estimate, Record
 from hident.systems.linear import TransferFunction
 
 
-def prefilter(y: Array, linear: TransferFunction) -> Array:
+def prefilter(y: Array, linear: TransferFunction, parts: Parts | None = None) -> Array:
     """The output with the linear block undone: y^f = (A/B) y, an estimate of w.
 
     Parameters
@@ -29,16 +30,19 @@ def prefilter(y: Array, linear: TransferFunction) -> Array:
         The output of the linear block B/A.
     linear : TransferFunction
         The block, with p coefficients a_1, ..., a_p.
+    parts : sequence of slices, optional
+        Where the experiments stand, one by default: each is filtered by itself.
 
     Returns
     -------
-    array, shape (N - p,)
-        y^f_k for k = p, ..., N-1.
+    array, shape (N - p,) for one experiment
+        y^f_k for k = p, ..., N-1 of each experiment.
 
     Raises
     ------
     EstimationError
-        If the block has no stable causal inverse: b_0 = 0, or a zero on or outside the unit circle.
+        If the block has no stable causal inverse: b_0 = 0, or a zero on or outside the unit circle; or if no
+        experiment holds more than p samples.
 
     Notes
     -----
@@ -46,10 +50,18 @@ def prefilter(y: Array, linear: TransferFunction) -> Array:
     what it filters, so that a constant passes as a constant.
 
     Differs from the paper: eq. (14) is summed from k = 1 and so takes the p outputs before the record as
-    measured. A record has none, so its first p filtered samples are dropped and N - p remain.
+    measured. An experiment has none, so its first p filtered samples are dropped and N - p remain.
     """
     if linear.b[0] == 0.0:
         raise EstimationError("the linear block has b_0 = 0: it delays its input and has no causal inverse")
+    if not (long := longer_than(parts or whole(len(y)), len(linear.a))):
+        raise EstimationError(
+            f"no experiment holds more than the {len(linear.a)} samples that the filter drops"
+        )
+    return in_each(long, lambda part: _undone(part, linear), y)
+
+
+def _undone(y: Array, linear: TransferFunction) -> Array:
     p = len(linear.a)
     # Eq. (14)
     filtered = y[p:].copy()
@@ -72,17 +84,30 @@ def prefilter(y: Array, linear: TransferFunction) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class FilteredRecord(Record):
-    """The last samples of ``whole`` with a filtered output; their order follows from that of ``whole``."""
+    """The samples of ``whole`` that are ``kept``, with a filtered output; their order follows from its own.
+
+    ``kept`` (N of ``whole``,) tells of each sample whether it is.
+    """
 
     whole: Record | None = None
+    kept: NDArray[np.bool_] | None = None
+
+    @classmethod
+    def of(cls, record: Record, linear: TransferFunction) -> Self:
+        """The record with ``linear`` undone, without the samples that the filter drops in each experiment."""
+        filtered = prefilter(record.y, linear, record.experiments)
+        kept = np.ones(len(record), dtype=bool)
+        for part in record.experiments:
+            kept[part.start : min(part.start + len(linear.a), part.stop)] = False
+        return cls(record.u[kept], filtered, whole=record, kept=kept)
 
     @cached_property
     def order(self) -> NDArray[np.intp]:
         """An order that sorts u."""
         assert self.whole is not None
-        dropped = len(self.whole) - len(self)
+        assert self.kept is not None
         order = self.whole.order
-        return order[order >= dropped] - dropped
+        return (np.cumsum(self.kept) - 1)[order[self.kept[order]]]
 
 
 class KnownPoint(Spec):
@@ -126,14 +151,18 @@ class _OfDynamics(Of):
 class NonparametricSpec(EstimatorSpec):
     """Base of the estimators of a characteristic by regression, on the output or the filtered output.
 
-    With a prefilter the estimate also holds what the prefilter estimated. Its first p samples are dropped
-    (see :func:`prefilter`), so N - p pairs (u_k, y^f_k) remain.
+    With a prefilter the estimate also holds what the prefilter estimated. The first p samples of each
+    experiment are dropped (see :func:`prefilter`), so N - p pairs (u_k, y^f_k) of each remain.
     """
 
     prefilter: Annotated[EstimatorSpec, _OfDynamics("estimator")] | None = None
     """Estimator of the linear block, to be undone first (drops p samples); none: the plain output is used."""
     known_point: KnownPoint | None = None
     """A point where the characteristic is known: a constant is added so that the estimate agrees there."""
+
+    def takes_experiments(self) -> Experiments:
+        # Without a prefilter the order of the samples does not matter.
+        return self.prefilter.takes_experiments() if self.prefilter else "any"
 
     def draws(self) -> bool:
         return self.prefilter is not None and self.prefilter.draws()
@@ -158,10 +187,10 @@ class NonparametricSpec(EstimatorSpec):
         return (replace(plain, rule=plain.rule + left_in),)
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+        self.require_experiments(record)
         dynamics = self.prefilter.fit(record, rng) if self.prefilter else Estimate()
         if dynamics.linear is not None:
-            filtered = prefilter(record.y, dynamics.linear)
-            record = FilteredRecord(record.u[len(record) - len(filtered) :], filtered, whole=record)
+            record = FilteredRecord.of(record, dynamics.linear)
         return replace(dynamics, nonlinearity=self._anchored(self.regression(record)))
 
     def _anchored(self, regression: Characteristic) -> Characteristic:
