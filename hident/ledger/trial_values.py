@@ -3,7 +3,7 @@
 One row for each series in the order of table.csv (the axes, estimator, metric), then one column for each
 trial; empty where the trial failed. Text, so that a value survives any library and version, and compressed
 with xz, which Python's own lzma and so pandas reads without another package; a random 64-bit value costs
-about 8 bytes. Numbers are the shortest decimals that give the same float back: ``pd.read_csv`` does, before
+about 9 bytes. Numbers are the shortest decimals that give the same float back: ``pd.read_csv`` does, before
 pandas 3 with ``float_precision="round_trip"``.
 
 The bytes depend on the values alone: an xz header holds no time and no name.
@@ -80,7 +80,7 @@ class TrialValues:
         writer.writerow([*self.axes, *_NAMES, *range(self.trials)])
         for key, values in self.series.items():
             writer.writerow([*key, *("" if math.isnan(v) else repr(v) for v in values.tolist())])
-        return lzma.compress(text.getvalue().encode(), format=lzma.FORMAT_XZ, preset=6)
+        return lzma.compress(text.getvalue().encode(), format=lzma.FORMAT_XZ, preset=1)
 
     @property
     def trials(self) -> int:
