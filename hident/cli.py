@@ -56,6 +56,10 @@ Plugins = Annotated[
 ]
 StoreFolder = Annotated[Path, typer.Option("--store", help="Folder of the trials store.")]
 Out = Annotated[Path, typer.Option("--out", help="Folder of the outputs.")]
+Jobs = Annotated[
+    int | None, typer.Option("--jobs", "-j", min=1, help="Worker processes; the usable cores by default.")
+]
+Wait = Annotated[float, typer.Option(min=0, help="Seconds to wait while another run holds the store.")]
 _STORE, _OUT, _RESULTS = Path(".hident"), Path("out"), Path("results")
 
 
@@ -196,15 +200,11 @@ def run(
     assignments: Set = None,
     trials: Trials = None,
     seed: Seed = None,
-    jobs: Annotated[
-        int | None, typer.Option("--jobs", "-j", min=1, help="Worker processes; the usable cores by default.")
-    ] = None,
+    jobs: Jobs = None,
     out: Out = _OUT,
     store: StoreFolder = _STORE,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Finish the rest after a crash.")] = False,
-    wait: Annotated[
-        float, typer.Option(min=0, help="Seconds to wait while another run holds the store.")
-    ] = 0.0,
+    wait: Wait = 0.0,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress and no tables.")] = False,
     plugin: Plugins = None,
 ) -> None:
@@ -247,32 +247,56 @@ def compare(
     complete: Annotated[
         bool, typer.Option("--complete", help="A configuration that was not run is a difference too.")
     ] = False,
+    partial: Annotated[
+        bool, typer.Option("--partial", help="Compare runs of other numbers of trials on the common ones.")
+    ] = False,
 ) -> None:
-    """Compare two folders of results, cell by cell.
+    """Compare two folders of results, trial by trial.
 
+    Between equal arithmetics no trial may differ; between others as many as the accepted results make likely.
     A missing or extra file, row or column is a difference.
     """
     from hident import commands
 
-    raise typer.Exit(commands.print_comparison(ours, reference, rtol, complete=complete))
+    code = commands.print_comparison(ours, reference, rtol, complete=complete, common=partial)
+    raise typer.Exit(code)
 
 
 @app.command()
 def accept(
     configs: Annotated[list[str], typer.Argument(help="Names of configurations whose results to accept.")],
+    assignments: Set = None,
+    trials: Trials = None,
+    seed: Seed = None,
+    jobs: Jobs = None,
     out: Out = _OUT,
     results: Annotated[Path, typer.Option(help="Folder of the accepted results.")] = _RESULTS,
+    store: StoreFolder = _STORE,
+    perturbations: Annotated[
+        int, typer.Option(min=1, help="Repetitions with records that are a last bit away.")
+    ] = 2,
+    wait: Wait = 0.0,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
+    plugin: Plugins = None,
 ) -> None:
     """Make the outputs of a run the accepted results.
 
-    Nothing else changes results/.
+    Measures how many of the trials a last bit moves, for compare. Nothing else changes results/.
     """
     from hident import commands
-    from hident.ledger.accept import accept
 
-    commands.warn_of_arithmetic()
-    for config in configs:
-        print(accept(out / Path(config).stem, results))
+    commands.check_finished(configs, out)
+    plans = commands.load_plans(map(Path, configs), assignments, _options(trials, seed), plugin or ())
+    code = commands.accept_plans(
+        plans,
+        commands.Place(out, store, wait),
+        results,
+        jobs,
+        plugin or (),
+        perturbations=perturbations,
+        quiet=quiet,
+    )
+    raise typer.Exit(code)
 
 
 @app.command()

@@ -8,11 +8,12 @@ import signal
 import sys
 import textwrap
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hident import arithmetic, plugins
 from hident.config.spec import PLURALS, components, json_schema
@@ -20,7 +21,11 @@ from hident.config.suggest import did_you_mean, one_of
 from hident.engine.experiment import Experiment, Plan, load
 from hident.engine.runner import CrashReport, complete, stored
 from hident.engine.store import Store
-from hident.errors import ConfigError, Exit, StoreError
+from hident.errors import ConfigError, Exit, NothingToCompare, StoreError
+
+if TYPE_CHECKING:
+    from hident.ledger.sensitivity import Sensitivity
+    from hident.ledger.trial_values import TrialValues
 
 
 @dataclass(frozen=True)
@@ -54,10 +59,8 @@ def load_plans(
     plans: list[Plan] = []
     errors: list[str] = []
     for config in configs:
-        named = Path("configs") / f"{config}.yaml"
-        bare = not config.suffix and not config.exists() and named.exists()
         try:
-            plan = load(named if bare else config, assignments or (), options)
+            plan = load(_file_of(config), assignments or (), options)
             check_published(plan)
             check(plan)
             plans.append(plan)
@@ -71,6 +74,14 @@ def load_plans(
     if twice:
         raise ConfigError(f"two files are named {one_of(twice)}, and the name is that of the output folder")
     return plans
+
+
+def _file_of(config: Path) -> Path:
+    """The file that is meant: itself, or the one of this name under configs/ or here."""
+    if config.suffix or config.exists():
+        return config
+    named = (Path("configs") / f"{config}.yaml", Path(f"{config}.yaml"))
+    return next((file for file in named if file.exists()), config)
 
 
 def described(plan: Plan) -> str:
@@ -92,15 +103,10 @@ def run_plans(
     quiet: bool,
 ) -> Exit:
     """Run plans one after the other on one set of workers; a single one's tables are printed."""
-    from hident.engine.cores import usable_cores
-    from hident.engine.executors import end, make_executor
     from hident.reports.output import keep_tracebacks
 
-    warn_of_arithmetic()
-    workers = jobs or usable_cores()
-    executor = make_executor(workers, plugin_files)
-    code = Exit.FINE
-    try:
+    def work(executor: Executor, workers: int) -> Exit:
+        code = Exit.FINE
         for plan in plans:
             try:
                 _run_plan(plan, place, executor, workers, keep_going=keep_going, quiet=quiet)
@@ -113,6 +119,23 @@ def run_plans(
                 code = crash.exit_code
                 if not keep_going:
                     break
+        return code
+
+    return _on_workers(work, place, jobs, plugin_files)
+
+
+def _on_workers(
+    work: Callable[[Executor, int], Exit], place: Place, jobs: int | None, plugin_files: Iterable[Path]
+) -> Exit:
+    """Do the work on a set of workers, which end with it; Ctrl-C ends both with a message."""
+    from hident.engine.cores import usable_cores
+    from hident.engine.executors import end, make_executor
+
+    warn_of_arithmetic()
+    workers = jobs or usable_cores()
+    executor = make_executor(workers, plugin_files)
+    try:
+        code = work(executor, workers)
         executor.shutdown()
     except KeyboardInterrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -164,6 +187,83 @@ def _run_plan(
                 note = f"{plan.name}: wrote {folder}"
     if not quiet:
         print(note, file=sys.stderr)
+
+
+def accept_plans(
+    plans: Sequence[Plan],
+    place: Place,
+    results: Path,
+    jobs: int | None,
+    plugin_files: Iterable[Path],
+    *,
+    perturbations: int,
+    quiet: bool,
+) -> Exit:
+    """Accept the outputs of plans, each with how many of its trials a last bit moves."""
+    from hident.ledger.accept import accept
+    from hident.reports.output import output_key, state
+
+    for plan in plans:
+        folder, key = place.out / plan.name, output_key(plan, plan.experiment.seed, plan.experiment.trials)
+        if state(folder, key) == "old":
+            raise ConfigError(
+                f"{folder} is not what {plan.path} gives now: hident run {plan.name}, or repeat here the "
+                "--set, --trials and --seed of that run"
+            )
+
+    def work(executor: Executor, workers: int) -> Exit:
+        for plan in plans:
+            measure = partial(_sensitivity, plan, place, executor, workers, perturbations, quiet)
+            print(accept(place.out / plan.name, results, measure, perturbations))
+        return Exit.FINE
+
+    return _on_workers(work, place, jobs, plugin_files)
+
+
+def _sensitivity(
+    plan: Plan,
+    place: Place,
+    executor: Executor,
+    workers: int,
+    perturbations: int,
+    quiet: bool,
+    values: TrialValues,
+) -> Sensitivity:
+    """How many trials of a plan, whose values are given, move when their records are a last bit away."""
+    from hident.engine.runner import run
+    from hident.ledger.sensitivity import Sensitivity
+    from hident.ledger.trial_values import TrialValues
+    from hident.progress import chosen
+
+    def repeated(k: int) -> TrialValues:
+        with Store(place.store).writing(place.wait) as writer:
+            found = run(
+                plan,
+                writer,
+                executor,
+                workers,
+                trials=plan.experiment.trials,
+                seed=plan.experiment.seed,
+                perturbation=k,
+                progress=chosen(f"{plan.name}, perturbation {k} of {perturbations}", quiet=quiet),
+            )
+        return TrialValues.of(found)
+
+    return Sensitivity.measured(values, map(repeated, range(1, perturbations + 1)))
+
+
+def check_finished(names: Iterable[str], out: Path) -> None:
+    """Check that each configuration has a folder of outputs.
+
+    Raises
+    ------
+    NothingToCompare
+        If one has none.
+    """
+    for name in names:
+        folder = out / Path(name).stem
+        if not (folder / "run.json").is_file():
+            raise NothingToCompare(f"{folder} holds no finished run: hident run {Path(name).stem}")
 
 
 def print_listing(families: Sequence[str], plugin_files: Iterable[Path]) -> None:
@@ -252,11 +352,15 @@ def print_status(plans: Sequence[Plan], place: Place) -> None:
     print(f"{store.path}: {store.count()} scores in all")
 
 
-def print_comparison(ours: Path, reference: Path, rtol: float, *, complete: bool) -> Exit:
-    """Print every difference between two folders of results."""
+def print_comparison(ours: Path, reference: Path, rtol: float, *, complete: bool, common: bool) -> Exit:
+    """Print every difference between two folders of results, and what differs and may."""
     from hident.ledger.compare import compare
 
-    comparison = compare(ours, reference, rtol=rtol, complete=complete)
+    comparison = compare(ours, reference, rtol=rtol, complete=complete, partial=common)
+    if comparison.allowed:
+        print("allowed, as the accepted results say how often a last bit decides:")
+    for allowed in comparison.allowed:
+        print(textwrap.indent(allowed, "  "))
     for difference in comparison.differences:
         print(difference)
     if comparison.absent:

@@ -117,7 +117,7 @@ class Lab:
 
     def _command(self, arguments: tuple[str, ...]) -> list[str]:
         plugin = ["--plugin", "probe.py"] if (self.folder / "probe.py").exists() else []
-        takes = arguments[:1] and arguments[0] in ("run", "status", "export", "validate")
+        takes = arguments[:1] and arguments[0] in ("run", "status", "export", "validate", "accept")
         return [sys.executable, "-m", "hident", *arguments, *(plugin if takes else [])]
 
     def hident(

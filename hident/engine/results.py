@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -85,6 +85,11 @@ class Series:
                 # From the order statistics two standard errors (of a rank) either side of the median.
                 low, high = np.quantile(valid, np.clip(0.5 + np.array([-1.0, 1.0]) / np.sqrt(n), 0.0, 1.0))
                 return float(high - low) / 4.0
+
+
+def statistics(values: Array) -> dict[str, float]:
+    """The statistics of table.csv of a series of values, one for each trial."""
+    return Series(cast("Unit", None), "", values).statistics
 
 
 def grouped(reasons: Iterable[str]) -> tuple[tuple[str, int], ...]:

@@ -167,7 +167,8 @@ class _UnitTrials:
 
     def trials_missing(self) -> NDArray[np.bool_]:
         """Whether each trial lacks any metric."""
-        return ~np.all([scores.there for scores in self._scores.values()], axis=0)
+        missing: NDArray[np.bool_] = np.any([~scores.there for scores in self._scores.values()], axis=0)
+        return missing
 
     def put(self, name: str, trial: Trial) -> None:
         self._scores[name].put(trial)

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Literal
 
+from hident.config.suggest import one_of
+from hident.engine.run_files import RUN, TRIALS
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.ledger.compare import compare
+from hident.ledger.run_folder import altered, file_digest, read_run, written
+from hident.ledger.sensitivity import SENSITIVITY, Sensitivity
+from hident.ledger.trial_values import TrialValues
 
 
 @dataclass(frozen=True)
@@ -26,28 +31,62 @@ class Accepted:
         return f"{self.config}: {self.change}{extent}"
 
 
-def accept(ours: Path, results: Path) -> Accepted:
-    """Make ``results/<config>`` an exact copy of ``ours``, the folder ``out/<config>`` of a finished run.
+def accept(
+    ours: Path,
+    results: Path,
+    measure: Callable[[TrialValues], Sensitivity] | None = None,
+    repetitions: int = 0,
+) -> Accepted:
+    """Make ``results/<config>`` a copy of ``ours``, the folder ``out/<config>`` of a finished run.
 
     Copied are ``run.json`` and the files that it lists. A kill at any moment leaves the old results, or the
     new ones, or, between two renames, the old ones as ``.<config>.old``, which the next call puts back first.
+
+    Beside the copy stands ``sensitivity.csv``, which ``measure`` makes from the values of the trials with so
+    many ``repetitions``, and whose hash joins those in ``run.json``. The one of the old results is kept
+    where the trials' values and the repetitions are the same.
 
     Raises
     ------
     NothingToCompare
         If ``ours`` has no ``run.json``.
     ConfigError
-        If ``run.json`` is broken or lists a file that is missing or lies elsewhere.
+        If ``run.json`` is broken, or lists a file that is missing, lies elsewhere, or was altered.
     StoreError
         If a file cannot be read or written.
     """
     config = ours.resolve().name
     try:
         files = _files(ours, config)
+        sensitivity = None
+        if measure is not None and PurePath(TRIALS) in files:
+            values = _values(ours, config)
+            known = _known(results / config, values, repetitions)
+            sensitivity = known or measure(values).encoded()
         results.mkdir(parents=True, exist_ok=True)
-        return _replace(ours, files, results, config)
+        return _replace(ours, files, results, config, sensitivity)
     except OSError as error:
         raise StoreError(f"{ours} cannot be accepted into {results}: {error}") from None
+
+
+def _values(ours: Path, config: str) -> TrialValues:
+    try:
+        return TrialValues.decoded((ours / TRIALS).read_bytes())
+    except ValueError as error:
+        raise ConfigError(f"{ours / TRIALS} cannot be read ({error}): hident run {config}") from None
+
+
+def _known(accepted: Path, values: TrialValues, repetitions: int) -> bytes | None:
+    """The sensitivity of results with the same values, measured by as many repetitions."""
+    try:
+        data = (accepted / SENSITIVITY).read_bytes()
+        counts = Sensitivity.decoded(data).counts
+        same = (accepted / TRIALS).read_bytes() == values.encoded()
+    except (OSError, ValueError):
+        return None
+    measured = {unit: count.perturbed for unit, count in counts.items()}
+    wanted = dict.fromkeys(values.units, values.trials * repetitions)
+    return data if same and measured == wanted and not altered(accepted) else None
 
 
 def _files(ours: Path, config: str) -> set[PurePath]:
@@ -55,11 +94,7 @@ def _files(ours: Path, config: str) -> set[PurePath]:
     path = ours / "run.json"
     if not path.is_file():
         raise NothingToCompare(f"{ours} holds no finished run: hident run {config}")
-    try:
-        run = json.loads(path.read_bytes())
-    except (ValueError, RecursionError):
-        run = None
-    match run:
+    match read_run(ours):
         case {"files": [*listed]} if all(isinstance(name, str) for name in listed):
             files = {PurePath(name) for name in ("run.json", *listed)}
         case _:
@@ -69,10 +104,15 @@ def _files(ours: Path, config: str) -> set[PurePath]:
             raise ConfigError(f"{path} lists {name}, which is not in its folder")
         if not (ours / name).is_file():
             raise ConfigError(f"{ours} lacks {name}, which its run.json lists: hident run {config}")
+    if changed := altered(ours):
+        verb = "was" if len(changed) == 1 else "were"
+        raise ConfigError(f"{ours}: {one_of(changed)} {verb} altered since the run: hident run {config}")
     return files
 
 
-def _replace(ours: Path, files: set[PurePath], results: Path, config: str) -> Accepted:
+def _replace(
+    ours: Path, files: set[PurePath], results: Path, config: str, sensitivity: bytes | None
+) -> Accepted:
     target, staged, old = (results / name for name in (config, f".{config}.new", f".{config}.old"))
     _tidy(target, staged, old)
     try:
@@ -81,6 +121,8 @@ def _replace(ours: Path, files: set[PurePath], results: Path, config: str) -> Ac
             copy = staged / name
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(ours / name, copy)
+        if sensitivity is not None:
+            _add(staged, sensitivity)
         accepted = _changes(staged, target, config)
         if target.exists():
             target.rename(old)
@@ -88,6 +130,14 @@ def _replace(ours: Path, files: set[PurePath], results: Path, config: str) -> Ac
     finally:
         _tidy(target, staged, old)
     return accepted
+
+
+def _add(staged: Path, sensitivity: bytes) -> None:
+    (staged / SENSITIVITY).write_bytes(sensitivity)
+    run = read_run(staged)
+    if run and "sha256" in run.get("provenance", {}):
+        run["provenance"]["sha256"][SENSITIVITY] = file_digest(staged / SENSITIVITY)
+        (staged / RUN).write_text(written(run), encoding="utf-8", newline="\n")
 
 
 def _tidy(target: Path, staged: Path, old: Path) -> None:

@@ -1,54 +1,63 @@
-"""The comparison of two sets of results, cell by cell and in both directions.
+"""The comparison of two sets of results, trial by trial, and in both directions.
 
-A number may differ in its last bits, as another machine's BLAS makes it: relative tolerance, no absolute one.
-Whole numbers (counts, labels, seeds) and texts are equal or they differ. The order of a table's rows and
-columns does not count, nor do hidden files, ``*.tmp``, and the provenance in ``run.json``.
+Trial i has the same data on every machine, so the values of two runs stand side by side
+(:mod:`hident.ledger.trial_values`). Between equal arithmetics no value may differ. Between different ones a
+last bit may send an estimate down another branch: of each unit as many trials may do so as the sensitivity
+stored with the reference makes likely (:mod:`hident.ledger.sensitivity`), and all others are held to the
+relative tolerance.
+
+The cells of table.csv must be the statistics of the trials beside them. The other files are compared by their
+contents (:mod:`hident.ledger.contents`); where some trials took another branch and may, what these files
+differ in is listed and not counted. Every file must be what was written, by the hashes in its run.json.
+Hidden files, ``*.tmp``, and the provenance in ``run.json`` do not count.
 """
 
 from __future__ import annotations
 
-import csv
-import io
-import json
-import math
-import re
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence, Set
-from dataclasses import dataclass
+from collections.abc import Iterator, Set
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
+from hident.engine.results import STATISTICS
+from hident.engine.run_files import RUN, TRIALS
 from hident.errors import ConfigError, NothingToCompare, StoreError
-from hident.records import Array
+from hident.ledger.contents import Row, content_differences, decode_table
+from hident.ledger.run_folder import altered, arithmetic, read_run
+from hident.ledger.sensitivity import SENSITIVITY, Sensitivity
+from hident.ledger.trial_comparison import TrialComparison, follows
+from hident.ledger.trial_values import Key, TrialValues
 
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
-_WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
-_TOKEN = re.compile(rf"{_NUMBER.pattern}|\S", re.ASCII)
-_NOTHING = ("", "nan")
-# Root mean square over all pixels, of which a curve covers some per cent.
-_PIXEL_TOLERANCE = 2 / 255
-
-Row = dict[str, str]
-# What reads a file's bytes, and what compares two such readings at a relative tolerance.
-_Kind = tuple[Callable[[bytes], Any], Callable[[Any, Any, float], Iterator[str]]]
+CHANCE = 0.01
+"""That a comparison of sound results finds, in any of its units, more moved trials than likely."""
+_TABLE = "table.csv"
+# What run.json says of the number of trials.
+_OF_TRIALS = ("experiment.trials ", "experiment.hash ", "experiment.resolved.trials ")
 
 
 @dataclass(frozen=True)
 class Comparison:
     """What a comparison found.
 
-    ``differences`` has one readable line each, ``compared`` is the number of result folders that both sides
-    have, ``absent`` names the configurations that only the reference has.
+    ``differences`` has one readable text each, ``allowed`` what differs and may: units some trials of which
+    took another branch, and the files that follow. ``compared`` is the number of result folders that both
+    sides have, ``absent`` names the configurations that only the reference has.
     """
 
     differences: tuple[str, ...]
     compared: int
     absent: tuple[str, ...]
+    allowed: tuple[str, ...] = ()
 
 
-def compare(ours: Path, reference: Path, *, rtol: float = 1e-6, complete: bool = False) -> Comparison:
+@dataclass
+class _Found:
+    differences: list[str] = field(default_factory=list)
+    allowed: list[str] = field(default_factory=list)
+
+
+def compare(
+    ours: Path, reference: Path, *, rtol: float = 1e-6, complete: bool = False, partial: bool = False
+) -> Comparison:
     """Compare two result folders, or two folders of result folders.
 
     Parameters
@@ -59,6 +68,9 @@ def compare(ours: Path, reference: Path, *, rtol: float = 1e-6, complete: bool =
         Relative tolerance of numbers.
     complete : bool
         Whether a configuration that only the reference has is a difference.
+    partial : bool
+        Whether runs of different numbers of trials are compared on the trials that both have; then nothing
+        is said of the files that show statistics.
 
     Raises
     ------
@@ -75,30 +87,37 @@ def compare(ours: Path, reference: Path, *, rtol: float = 1e-6, complete: bool =
         if ("." in mine) != ("." in theirs):
             one, many = (ours, reference) if "." in mine else (reference, ours)
             raise ConfigError(f"{one} is one result folder and {many} a folder of them: name two of a kind")
-        return _compare(ours, reference, mine | theirs, rtol, complete)
+        return _compare(ours, reference, mine | theirs, rtol, complete, partial)
     except OSError as error:
         raise StoreError(f"{ours} and {reference} cannot be compared: {error}") from None
 
 
-def _compare(ours: Path, reference: Path, names: Set[str], rtol: float, complete: bool) -> Comparison:
-    differences: list[str] = []
-    absent = []
-    compared = 0
+def _compare(
+    ours: Path, reference: Path, names: Set[str], rtol: float, complete: bool, partial: bool
+) -> Comparison:
+    pairs = {
+        name: _Pair(ours / name, reference / name, rtol, partial)
+        for name in sorted(names)
+        if _files(ours / name) and _files(reference / name)
+    }
+    # The chance is that of all units together.
+    units = sum(len(pair.trials.units) for pair in pairs.values() if pair.trials)
+    found, absent = _Found(), []
     for name in sorted(names):
-        mine, theirs = ours / name, reference / name
-        if not _files(theirs):
-            differences.append(f"{name}: not accepted yet; hident accept {name}")
-        elif not _files(mine):
+        if name in pairs:
+            pairs[name].judge(CHANCE / max(units, 1), found)
+        elif not _files(reference / name):
+            found.differences.append(f"{name}: not accepted yet; hident accept {name}")
+        else:
             absent.append(name)
             if complete:
-                differences.append(f"{name}: not run; hident run {name}")
-        else:
-            compared += 1
-            title = theirs.resolve().name
-            differences.extend(f"{title}/{line}" for line in _folders(mine, theirs, rtol))
+                found.differences.append(f"{name}: not run; hident run {name}")
     if "." not in names:
-        differences += _folders(ours, reference, rtol, apart_from=names)
-    return Comparison(tuple(differences), compared, tuple(absent))
+        for name in sorted(_files(ours) | _files(reference)):
+            if name.partition("/")[0] not in names:
+                lines = _two(ours / name, reference / name, rtol)
+                found.differences += [f"{name}: {line}" for line in lines]
+    return Comparison(tuple(found.differences), len(pairs), tuple(absent), tuple(found.allowed))
 
 
 def _results(folder: Path, remedy: str) -> set[str]:
@@ -114,7 +133,7 @@ def _results(folder: Path, remedy: str) -> set[str]:
 
 
 def _is_result(folder: Path) -> bool:
-    return any((folder / name).is_file() for name in ("run.json", "table.csv"))
+    return any((folder / name).is_file() for name in (RUN, _TABLE))
 
 
 def _files(folder: Path) -> set[str]:
@@ -127,224 +146,126 @@ def _files(folder: Path) -> set[str]:
     }
 
 
-def _folders(ours: Path, reference: Path, rtol: float, apart_from: Set[str] = frozenset()) -> Iterator[str]:
-    """The differences of all files but those in the folders with these names."""
-    mine, theirs = (
-        {name for name in _files(folder) if name.partition("/")[0] not in apart_from}
-        for folder in (ours, reference)
-    )
-    for name in sorted(mine | theirs):
-        if name not in mine:
-            yield f"{name}: missing"
-        elif name not in theirs:
-            yield f"{name}: extra, the reference lacks it"
-        else:
-            yield from (f"{name}: {line}" for line in _contents(ours / name, reference / name, rtol))
+def _two(ours: Path, reference: Path, rtol: float) -> list[str]:
+    """What two files differ in, if both are there."""
+    if not ours.is_file():
+        return ["missing"]
+    if not reference.is_file():
+        return ["extra, the reference lacks it"]
+    return list(content_differences(ours, reference, rtol))
 
 
-def _contents(ours: Path, reference: Path, rtol: float) -> Iterator[str]:
-    try:
-        data = ours.read_bytes(), reference.read_bytes()
-    except OSError as error:
-        yield f"cannot be read: {(error.strerror or str(error)).lower()}"
-        return
-    if data[0] == data[1]:
-        return
-    decode, differences = _KINDS.get(ours.suffix, _OTHER)
-    decoded = []
-    for content, whose in zip(data, ("", "the reference "), strict=True):
+class _Pair:
+    """The results of one configuration on both sides; ``trials`` is None if a side has none to read."""
+
+    def __init__(self, ours: Path, reference: Path, rtol: float, partial: bool) -> None:
+        self._ours, self._reference, self._rtol, self._partial = ours, reference, rtol, partial
+        self._title = reference.resolve().name
+        self.trials = self._compared_trials()
+
+    def judge(self, chance: float, found: _Found) -> None:
+        """Add what the configuration differs in; ``chance`` is that of more moved trials than likely."""
+        differences = [
+            f"{name}: {whose}altered since it was written"
+            for folder, whose in ((self._ours, ""), (self._reference, "the reference was "))
+            for name in altered(folder)
+        ]
+        found.differences += [f"{self._title}/{line}" for line in differences]
+        if self.trials is None:
+            found.differences += [f"{self._title}/{line}" for line in self._lines(self._names())]
+            return
+        count, wanted = self.trials.ours.trials, self.trials.reference.trials
+        if count != wanted and not self._partial:
+            found.differences.append(
+                f"{self._title}: {count} trials, reference {wanted}: --partial compares those of both"
+            )
+            return
+        for line, counts in self._judged(self.trials, chance):
+            (found.differences if counts else found.allowed).append(f"{self._title}{line}")
+
+    def _judged(self, trials: TrialComparison, chance: float) -> Iterator[tuple[str, bool]]:
+        """What differs, and whether it counts as a difference."""
+        yield from ((f": {line}", True) for line in sorted(trials.unmatched()))
+        moved = list(trials.moved(chance))
+        yield from ((f": {unit.said}", not unit.allowed) for unit in moved)
+        yield from ((f"/{line}", True) for line in self._table(trials))
+        run = self._lines({RUN})
+        if trials.ours.trials != trials.reference.trials:
+            of_trials = tuple(f"{RUN}: {path}" for path in _OF_TRIALS)
+            yield from ((f"/{line}", True) for line in run if not line.startswith(of_trials))
+            return
+        others = self._lines(self._names() - {RUN, _TABLE, TRIALS})
+        if moved and others:
+            # What follows from the trials is told by its name alone.
+            names = ", ".join(sorted({line.partition(": ")[0] for line in others}))
+            yield f": {names}: as these trials give", not all(unit.allowed for unit in moved)
+            others = []
+        yield from ((f"/{line}", True) for line in (*run, *others))
+
+    def _compared_trials(self) -> TrialComparison | None:
         try:
-            decoded.append(decode(content))
-        except Exception as error:  # Decoders meet junk with errors of any kind, PIL with a SyntaxError.
-            yield f"{whose}cannot be read: {error}"
-    if len(decoded) == 2:
-        mine, theirs = decoded
-        yield from differences(mine, theirs, rtol)
+            ours, reference = (
+                TrialValues.decoded((folder / TRIALS).read_bytes())
+                for folder in (self._ours, self._reference)
+            )
+        except (OSError, ValueError, EOFError):
+            return None
+        if ours.axes != reference.axes:
+            return None
+        runs = [read_run(folder) for folder in (self._ours, self._reference)]
+        same = None in runs or arithmetic(runs[0] or {}) == arithmetic(runs[1] or {})
+        sensitivity = None if same else (_sensitivity(self._reference) or Sensitivity(reference.axes, {}))
+        return TrialComparison(ours, reference, self._rtol, sensitivity)
+
+    def _table(self, trials: TrialComparison) -> Iterator[str]:
+        """What is wrong with table.csv: cells that are not those of the trials, rows that differ."""
+        mine, wrong = _rows(self._ours, trials.ours)
+        theirs, wrong_there = _rows(self._reference, trials.reference)
+        yield from (f"{_TABLE}: {line}" for line in wrong)
+        yield from (f"{_TABLE}: of the reference, {line}" for line in wrong_there)
+        if trials.ours.trials != trials.reference.trials:
+            return
+        for series in trials.units.values():
+            for key, compared in series.items():
+                if key in mine and key in theirs and not compared.moved.any():
+                    name = trials.reference.described_series(key)
+                    lines = trials.rows(mine[key], theirs[key], key)
+                    yield from (f"{_TABLE}: {name}: {line}" for line in lines)
+
+    def _names(self) -> set[str]:
+        return (_files(self._ours) | _files(self._reference)) - {SENSITIVITY}
+
+    def _lines(self, names: Set[str]) -> list[str]:
+        return [
+            f"{name}: {line}"
+            for name in sorted(names)
+            for line in _two(self._ours / name, self._reference / name, self._rtol)
+        ]
 
 
-def _difference(ours: str, reference: str, rtol: float) -> str | None:
-    """What to say of two texts, numbers among them; None if they agree."""
-    if ours == reference or (ours.lower() in _NOTHING and reference.lower() in _NOTHING):
+def _rows(folder: Path, values: TrialValues) -> tuple[dict[Key, Row], list[str]]:
+    """The rows of table.csv by their series, and where they are not the statistics of the trials."""
+    try:
+        table = decode_table((folder / _TABLE).read_bytes())
+    except (OSError, ValueError) as error:
+        return {}, [f"it cannot be read: {error}"]
+    names = (*values.axes, "estimator", "metric")
+    columns = {*names, *STATISTICS}
+    if wrong := sorted(columns.symmetric_difference(table.columns)):
+        return {}, [f"column {name} is {'missing' if name in columns else 'extra'}" for name in wrong]
+    rows = {tuple(row[name] for name in names): row for row in table.rows}
+    lines = [] if len(rows) == len(table.rows) else ["a row stands twice"]
+    for key in sorted(values.series.keys() | rows.keys()):
+        name = values.described_series(key)
+        if key in rows and key in values.series:
+            lines += [f"{name}: {line}" for line in follows(rows[key], values.series[key])]
+        else:
+            lines.append(f"{name}: {'its trials are' if key in rows else 'the row is'} missing")
+    return rows, lines
+
+
+def _sensitivity(folder: Path) -> Sensitivity | None:
+    try:
+        return Sensitivity.decoded((folder / SENSITIVITY).read_bytes())
+    except (OSError, ValueError):
         return None
-    said = f"{ours or 'empty'}, reference {reference or 'empty'}"
-    if not (_NUMBER.fullmatch(ours) and _NUMBER.fullmatch(reference)):
-        return said
-    whole = _WHOLE.fullmatch(ours) and _WHOLE.fullmatch(reference)
-    a, b = float(ours), float(reference)
-    if a == b == 0.0 or (not whole and math.isclose(a, b, rel_tol=rtol)):
-        return None
-    return f"{said}, relative difference {abs(a - b) / max(abs(a), abs(b)):.1e}"
-
-
-@dataclass(frozen=True)
-class _Table:
-    columns: tuple[str, ...]
-    rows: tuple[Row, ...]
-
-
-def _decode_table(data: bytes) -> _Table:
-    reader = csv.reader(io.StringIO(data.decode(), newline=""), strict=True)
-    columns = tuple(next(reader, ()))
-    if not columns:
-        raise ValueError("it has no header")
-    twice = [column for column, count in Counter(columns).items() if count > 1]
-    if twice:
-        raise ValueError(f"column {twice[0]} stands twice")
-    rows = []
-    for cells in reader:
-        if len(cells) != len(columns):
-            raise ValueError(f"line {reader.line_num} has {len(cells)} cells, not {len(columns)}")
-        rows.append(dict(zip(columns, cells, strict=True)))
-    return _Table(columns, tuple(rows))
-
-
-def _tables(ours: _Table, reference: _Table, rtol: float) -> Iterator[str]:
-    yield from (f"column {name} is missing" for name in reference.columns if name not in ours.columns)
-    yield from (f"column {name} is extra" for name in ours.columns if name not in reference.columns)
-    if set(ours.columns) != set(reference.columns):
-        # Rows of other columns are other rows.
-        return
-    key = _key(reference.columns, ours.rows, reference.rows)
-    for mine, theirs in _matched(ours.rows, reference.rows, key, rtol):
-        name = ", ".join(f"{column} {(theirs or mine or {})[column]}" for column in key)
-        if mine is None or theirs is None:
-            yield f"{name}: row is {'missing' if mine is None else 'extra'}"
-            continue
-        for column in reference.columns:
-            said = _difference(mine[column], theirs[column], rtol)
-            if said:
-                yield f"{name}: {column} {said}"
-
-
-def _key(columns: Sequence[str], *tables: Sequence[Row]) -> Sequence[str]:
-    """The columns that name a row: the fewest leading ones that tell rows apart, and texts that follow."""
-
-    def distinct(rows: Sequence[Row], length: int) -> int:
-        return len({_label(row, columns[:length]) for row in rows})
-
-    length = next(
-        n
-        for n in range(min(1, len(columns)), len(columns) + 1)
-        if all(distinct(rows, n) == distinct(rows, len(columns)) for rows in tables)
-    )
-    while length < len(columns) and _is_text(row[columns[length]] for rows in tables for row in rows):
-        length += 1
-    return columns[:length]
-
-
-def _is_text(cells: Iterable[str]) -> bool:
-    return all(cell.lower() not in _NOTHING and not _NUMBER.fullmatch(cell) for cell in cells)
-
-
-def _label(row: Row, columns: Sequence[str]) -> tuple[str, ...]:
-    return tuple(_rounded(row[column]) for column in columns)
-
-
-def _rounded(cell: str) -> str:
-    """The cell without the last bits of a number, so that it can be looked up."""
-    return f"{float(cell):.9g}" if _NUMBER.fullmatch(cell) and not _WHOLE.fullmatch(cell) else cell
-
-
-def _matched(
-    ours: Sequence[Row], reference: Sequence[Row], key: Sequence[str], rtol: float
-) -> Iterator[tuple[Row | None, Row | None]]:
-    """Pairs of rows with one key: by place if all keys agree there, else wherever they stand."""
-    if len(ours) == len(reference) and all(
-        _difference(mine[column], theirs[column], rtol) is None
-        for mine, theirs in zip(ours, reference, strict=True)
-        for column in key
-    ):
-        yield from zip(ours, reference, strict=True)
-        return
-    mine, theirs = _by_label(ours, key), _by_label(reference, key)
-    for label in theirs | mine:
-        yield mine.get(label), theirs.get(label)
-
-
-def _by_label(rows: Sequence[Row], key: Sequence[str]) -> dict[tuple[object, ...], Row]:
-    """The rows by label, and those with one label by their turn."""
-    seen: Counter[tuple[str, ...]] = Counter()
-    found: dict[tuple[object, ...], Row] = {}
-    for row in rows:
-        label = _label(row, key)
-        found[label, seen[label]] = row
-        seen[label] += 1
-    return found
-
-
-def _decode_json(data: bytes) -> dict[str, str]:
-    """All leaves by their paths, those of the provenance left out."""
-    value = json.loads(data)
-    if isinstance(value, dict):
-        value.pop("provenance", None)
-    return dict(_leaves(value, ""))
-
-
-def _leaves(value: object, path: str) -> Iterator[tuple[str, str]]:
-    match value:
-        case dict() if value:
-            for key, item in value.items():
-                yield from _leaves(item, f"{path}.{key}" if path else key)
-        case list() if value:
-            for index, item in enumerate(value):
-                yield from _leaves(item, f"{path}[{index}]")
-        case _:
-            yield path, json.dumps(value, ensure_ascii=False)
-
-
-def _documents(ours: dict[str, str], reference: dict[str, str], rtol: float) -> Iterator[str]:
-    for path in reference | ours:
-        if path not in ours:
-            yield f"{path} is missing"
-        elif path not in reference:
-            yield f"{path} is extra"
-        elif said := _difference(ours[path], reference[path], rtol):
-            yield f"{path} {said}"
-
-
-def _decode_lines(data: bytes) -> list[str]:
-    return data.decode().splitlines()
-
-
-def _lines(ours: list[str], reference: list[str], rtol: float) -> Iterator[str]:
-    if len(ours) != len(reference):
-        yield f"{len(ours)} lines, reference {len(reference)}"
-    for number, (mine, theirs) in enumerate(zip(ours, reference, strict=False), start=1):
-        tokens, expected = _TOKEN.findall(mine), _TOKEN.findall(theirs)
-        if len(tokens) != len(expected) or any(
-            _difference(*pair, rtol) for pair in zip(tokens, expected, strict=True)
-        ):
-            yield f"line {number}: '{mine.strip()}', reference '{theirs.strip()}'"
-
-
-def _decode_picture(data: bytes) -> Array:
-    from matplotlib.image import imread
-
-    return np.asarray(imread(io.BytesIO(data), format="png"), dtype=float)
-
-
-def _pictures(ours: Array, reference: Array, rtol: float) -> Iterator[str]:
-    if ours.shape != reference.shape:
-        size, expected = (" x ".join(map(str, picture.shape)) for picture in (ours, reference))
-        yield f"{size} pixels, reference {expected}"
-        return
-    distance = float(np.sqrt(np.mean((ours - reference) ** 2)))
-    if distance > _PIXEL_TOLERANCE:
-        yield (
-            f"another picture: root mean square of the difference {distance:.4f}, "
-            f"allowed {_PIXEL_TOLERANCE:.4f}"
-        )
-
-
-def _bytes(ours: bytes, reference: bytes, rtol: float) -> Iterator[str]:
-    yield f"other bytes: {len(ours)}, reference {len(reference)}"
-
-
-_KINDS: dict[str, _Kind] = {
-    ".csv": (_decode_table, _tables),
-    ".json": (_decode_json, _documents),
-    ".md": (_decode_lines, _lines),
-    ".txt": (_decode_lines, _lines),
-    ".png": (_decode_picture, _pictures),
-}
-_OTHER: _Kind = (bytes, _bytes)

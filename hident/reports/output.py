@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import platform
 import shutil
@@ -21,9 +20,12 @@ from hident.config.spec import canonical
 from hident.engine.experiment import Plan
 from hident.engine.fingerprint import code
 from hident.engine.results import Results
-from hident.engine.run_files import CRASHES, PAGE, RUN, TABLE, VERDICTS, figure_file, table_file
+from hident.engine.run_files import CRASHES, PAGE, RUN, TABLE, TRIALS, VERDICTS, figure_file, table_file
 from hident.engine.trial import digest
 from hident.errors import ConfigError, StoreError
+from hident.ledger.run_folder import altered, file_digest, read_run
+from hident.ledger.run_folder import written as written_run
+from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import Verdict, frame, judge
 from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, left_out
 from hident.reports.scoring import scoring
@@ -43,7 +45,7 @@ def output_key(plan: Plan, seed: int, trials: int) -> str:
             "units": [unit.keys(seed) for unit in plan.units],
             "trials": trials,
             "experiment": canonical(experiment),
-            "paper": [hashlib.sha256(f.read_bytes()).hexdigest() for f in files if f.is_file()],
+            "paper": [file_digest(f) for f in files if f.is_file()],
             "code": code(["hident.reports.output", *_modules(experiment.tables, experiment.figures)]),
             "libraries": [version(name) for name in _PACKAGES],
         }
@@ -52,21 +54,14 @@ def output_key(plan: Plan, seed: int, trials: int) -> str:
 
 def state(folder: Path, key: str) -> State:
     """Whether the folder holds, unaltered, what a run with this key wrote."""
-    file = folder / RUN
-    if not file.exists():
+    if not (folder / RUN).exists():
         return "none"
-    try:
-        run = json.loads(file.read_bytes())
-        provenance = run["provenance"]
-        if provenance["key"] != key:
-            return "old"
-        digests = provenance.pop("sha256")
-        sound = digests.pop(RUN) == digest(run) and all(
-            hashlib.sha256((folder / name).read_bytes()).hexdigest() == sha for name, sha in digests.items()
-        )
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    provenance = (read_run(folder) or {}).get("provenance")
+    if not isinstance(provenance, dict) or "key" not in provenance:
         return "altered"
-    return "up to date" if sound else "altered"
+    if provenance["key"] != key:
+        return "old"
+    return "altered" if altered(folder) else "up to date"
 
 
 def write(results: Results, folder: Path, run: Mapping[str, Any]) -> None:
@@ -198,7 +193,8 @@ def _write_text_files(
     texts[PAGE] = markdown(results, verdicts, tables)
     for name, text in texts.items():
         _write_text(folder / name, text)
-    return list(texts)
+    (folder / TRIALS).write_bytes(TrialValues.of(results).encoded())
+    return [*texts, TRIALS]
 
 
 def _write_text(path: Path, text: str) -> None:
@@ -250,11 +246,11 @@ def _run_json(results: Results, folder: Path, files: Sequence[str], run: Mapping
         },
     }
     content["provenance"]["sha256"] = {
-        **{name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in files},
+        **{name: file_digest(folder / name) for name in files},
         # Of all but these hashes, as plain data.
         RUN: digest(content),
     }
-    return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+    return written_run(content)
 
 
 def _listed(folder: Path) -> set[str]:

@@ -148,7 +148,7 @@ def test_schema_is_json(lab: Lab) -> None:
 def test_what_a_run_writes(done: Lab) -> None:
     folder = done.folder / "out/tiny"
     assert sorted(path.name for path in folder.iterdir()) == [
-        "run.json", "table.csv", "table.md", "verdicts.csv"
+        "run.json", "table.csv", "table.md", "trials.csv.xz", "verdicts.csv"
     ]  # fmt: skip
     table = pd.read_csv(folder / "table.csv")
     assert ",".join(table.columns) == (
@@ -160,7 +160,10 @@ def test_what_a_run_writes(done: Lab) -> None:
     assert (experiment["config"], experiment["seed"], experiment["trials"]) == ("tiny", 7, 6)
     assert experiment["resolved"]["title"] == "Tiny"
     assert len(experiment["hash"]) == 32
-    assert run["files"] == ["table.csv", "table.md", "verdicts.csv"]
+    assert run["files"] == ["table.csv", "table.md", "trials.csv.xz", "verdicts.csv"]
+    trials = pd.read_csv(folder / "trials.csv.xz")
+    assert trials[["samples", "estimator", "metric"]].equals(table[["samples", "estimator", "metric"]])
+    np.testing.assert_allclose(trials.iloc[:, 3:].mean(axis=1), table["mean"], rtol=1e-14, atol=1e-16)
     assert provenance["libraries"]["numpy"] == np.__version__
     assert {
         "hident",
@@ -223,7 +226,8 @@ def test_files_of_an_earlier_run_are_removed_and_others_are_not(done: Lab) -> No
     (folder / "mine.txt").touch()
     done.configure(tables={})
     done.run("-q")
-    assert sorted(path.name for path in folder.iterdir()) == ["mine.txt", "run.json", "table.csv", "table.md"]
+    names = sorted(path.name for path in folder.iterdir())
+    assert names == ["mine.txt", "run.json", "table.csv", "table.md", "trials.csv.xz"]
 
 
 def test_failed_estimates_are_counted_shown_and_left_out_of_the_mean(lab: Lab) -> None:
@@ -366,10 +370,18 @@ def test_export_of_an_unknown_kind_and_of_a_part(done: Lab) -> None:
 def test_only_accept_changes_results_and_compare_finds_any_change(done: Lab) -> None:
     results = done.folder / "results"
     assert "there is no folder results" in done.hident("compare", code=4).stderr
-    assert done.hident("accept", "tiny").stdout == "tiny: new\n"
+    said = done.hident("accept", "tiny", "-j1")
+    assert said.stdout == "tiny: new\n"
+    assert "tiny, perturbation 1 of 2: 24 trials\n" in said.stderr
+    assert "tiny, perturbation 2 of 2: 24/24 trials done" in said.stderr
     accepted = {path.name: path.read_bytes() for path in (results / "tiny").iterdir()}
     out = done.folder / "out/tiny"
-    assert accepted == {path.name: path.read_bytes() for path in out.iterdir()}
+    copied = {path.name: path.read_bytes() for path in out.iterdir()}
+    assert {*accepted} == {*copied, "sensitivity.csv"}
+    assert all(accepted[name] == copied[name] for name in copied if name != "run.json")
+    sensitivity = pd.read_csv(results / "tiny/sensitivity.csv")
+    assert list(sensitivity.columns) == ["samples", "estimator", "trials", "perturbed", "moved"]
+    assert sensitivity["perturbed"].tolist() == [12] * 4
 
     assert done.hident("compare").stdout == "out against results: 1 configuration, no differences\n"
     table = (out / "table.csv").read_text()
@@ -377,14 +389,28 @@ def test_only_accept_changes_results_and_compare_finds_any_change(done: Lab) -> 
     for changed in (table.replace(last, last.replace(",6,0,", ",6,1,")), "".join(rows)):
         assert changed != table
         (out / "table.csv").write_text(changed)
-        assert "1 difference\n" in done.hident("compare", code=1).stdout
+        assert "tiny/table.csv: altered since it was written" in done.hident("compare", code=1).stdout
     (out / "table.csv").write_text(table)
     (out / "table.md").rename(out / "extra.md")
-    assert "2 differences\n" in done.hident("compare", code=1).stdout
+    assert "3 differences\n" in done.hident("compare", code=1).stdout
+    said = done.hident("accept", "tiny", code=2).stderr
+    assert said.startswith("error: out/tiny lacks table.md, which its run.json lists: hident run tiny")
 
     done.run("-q", "--trials", "3")
     assert {path.name: path.read_bytes() for path in (results / "tiny").iterdir()} == accepted
-    assert done.hident("accept", "tiny").stdout.startswith("tiny: changed, ")
+    assert "tiny: 3 trials, reference 6: --partial compares those of both" in (
+        done.hident("compare", code=1).stdout
+    )
+    assert done.hident("compare", "--partial").stdout.endswith("no differences\n")
+    said = done.hident("accept", "tiny", code=2).stderr
+    assert said == (
+        "error: out/tiny is not what tiny.yaml gives now: hident run tiny, or repeat here the --set, "
+        "--trials and --seed of that run\n"
+    )
+    # The perturbed trials are stored.
+    said = done.hident("accept", "tiny", "--trials", "3")
+    assert said.stdout.startswith("tiny: changed, ")
+    assert "tiny, perturbation 2 of 2: all 12 trials are stored" in said.stderr
     assert done.hident("accept", "none", code=4).stderr.startswith("error: out/none holds no finished run")
 
 
