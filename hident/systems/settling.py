@@ -73,7 +73,7 @@ def settling_time(b: tuple[float, ...], a: tuple[float, ...], band: float) -> fl
         )
         crossing = _last_crossing(weights, chain, dead, begin, end, band)
         if crossing is not None:
-            return unit * crossing
+            return float(unit * crossing)
         end, cells = begin, min(2 * cells, _MOST_CELLS)
     return 0.0
 
@@ -116,7 +116,7 @@ def _bounds(poles: Complex, error: Array, band: float) -> tuple[float, list[floa
     ]
 
     def envelope(t: float) -> float:
-        return sum(r * math.exp(-rate * t) for r, rate in modes)
+        return float(sum(r * math.exp(-rate * t) for r, rate in modes))
 
     if envelope(0.0) <= band:
         return 0.0, deaths
@@ -156,9 +156,9 @@ def _last_crossing(
     for cell in np.flatnonzero(peak > band)[::-1].tolist():
         within = _last_root(weights, chain * h, states[:, cell], band)
         if within is not None:
-            return begin + h * (cell + within)
+            return float(begin + h * (cell + within))
         if size[cell] > band:  # At the node itself, up to rounding.
-            return begin + h * cell
+            return float(begin + h * cell)
     return None
 
 
