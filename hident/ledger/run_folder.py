@@ -60,7 +60,6 @@ def arithmetic(run: dict[str, Any]) -> Any:
     provenance = run.get("provenance")
     provenance = provenance if isinstance(provenance, dict) else {}
     used, versions = provenance.get("arithmetic"), provenance.get("libraries")
-    if isinstance(used, dict) and "in_use" in used:
-        used = used["in_use"]
+    identity = used.get("identity") if isinstance(used, dict) else None
     versions = versions if isinstance(versions, dict) else {}
-    return used, {name: versions.get(name) for name in libraries()}
+    return identity, {name: versions.get(name) for name in libraries()}

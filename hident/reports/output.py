@@ -239,7 +239,7 @@ def _run_json(results: Results, folder: Path, files: Sequence[str], run: Mapping
             **_git(plan.root),
             "platform": platform.platform(),
             "cpu": _cpu(),
-            "arithmetic": arithmetic.in_use(),
+            "arithmetic": {"identity": arithmetic.identity(), **arithmetic.in_use()},
             "finished": datetime.now(UTC).isoformat(timespec="seconds"),
             **run,
             "key": output_key(plan, results.seed, results.trials),

@@ -393,8 +393,8 @@ def test_only_accept_changes_results_and_compare_finds_any_change(done: Lab) -> 
     (out / "table.csv").write_text(table)
     (out / "table.md").rename(out / "extra.md")
     assert "3 differences\n" in done.hident("compare", code=1).stdout
-    said = done.hident("accept", "tiny", code=2).stderr
-    assert said.startswith("error: out/tiny lacks table.md, which its run.json lists: hident run tiny")
+    refused = done.hident("accept", "tiny", code=2).stderr
+    assert refused.startswith("error: out/tiny lacks table.md, which its run.json lists: hident run tiny")
 
     done.run("-q", "--trials", "3")
     assert {path.name: path.read_bytes() for path in (results / "tiny").iterdir()} == accepted
@@ -402,8 +402,8 @@ def test_only_accept_changes_results_and_compare_finds_any_change(done: Lab) -> 
         done.hident("compare", code=1).stdout
     )
     assert done.hident("compare", "--partial").stdout.endswith("no differences\n")
-    said = done.hident("accept", "tiny", code=2).stderr
-    assert said == (
+    refused = done.hident("accept", "tiny", code=2).stderr
+    assert refused == (
         "error: out/tiny is not what tiny.yaml gives now: hident run tiny, or repeat here the --set, "
         "--trials and --seed of that run\n"
     )

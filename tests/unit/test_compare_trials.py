@@ -69,7 +69,7 @@ class Bench:
             self.foreign()
 
     def foreign(self) -> None:
-        _rewrite(self.out / "tiny", lambda run: run["provenance"].update(arithmetic={"in_use": "other"}))
+        _rewrite(self.out / "tiny", lambda run: run["provenance"].update(arithmetic={"identity": "other"}))
 
     def compare(self, **options: Any) -> Comparison:
         return compare(self.out, self.results, **options)

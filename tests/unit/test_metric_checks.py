@@ -380,7 +380,8 @@ def test_a_trial_whose_estimate_has_no_static_gain_is_failed_with_the_reason(pla
 
     job = Job(Flat.model_construct(**dict(unit.estimator)), (unit.metrics["m"],))
     (outcome,) = run_trials(unit.data, [job], {0: [0]}, 1)
-    assert (outcome.crash, outcome.failure) == (
+    (score,) = outcome.scores
+    assert (score.crash, score.failure) == (
         "",
-        "the estimated block has the static gain 0, and cannot be brought to 1",
+        "metric: the estimated block has the static gain 0, and cannot be brought to 1",
     )

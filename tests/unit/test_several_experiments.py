@@ -58,8 +58,9 @@ def errors(plan):
     (unit,) = plan.units
     job = Job(unit.estimator, tuple(unit.metrics.values()))
     outcomes = run_trials(unit.data, [job], {trial: [0] for trial in range(3)}, plan.experiment.seed)
-    assert [outcome.failure for outcome in outcomes] == ["", "", ""]
-    assert not any(outcome.crash for outcome in outcomes)
+    scores = [score for outcome in outcomes for score in outcome.scores]
+    assert {score.failure for score in scores} == {""}
+    assert not any(score.crash for score in scores)
     return np.array([outcome.values for outcome in outcomes])
 
 
