@@ -17,6 +17,8 @@ Experiments = Literal["one", "at_one_interval", "any"]
 
 # Sampling intervals this close, relative to their size, are one.
 _SAME_INTERVAL = 1e-9
+# Values this close, relative to the largest, are one.
+_ROUNDING = 1e-13
 
 
 class EstimatorSpec(Component):
@@ -108,3 +110,18 @@ def require_finite(y: Array) -> None:
     wrong = len(y) - np.count_nonzero(np.isfinite(y))
     if wrong:
         raise EstimationError(f"the output has {wrong} of {len(y)} samples that are not finite")
+
+
+def require_varying(signal: Array, name: str) -> None:
+    """Raise EstimationError if the signal, the input or the output as ``name`` says, is constant."""
+    if varies(signal):
+        return
+    raise EstimationError(
+        f"the {name} is {signal[0]:g} throughout: nothing can be learnt from a constant {name}"
+        + ("; use one that varies" if name == "input" else "")
+    )
+
+
+def varies(signal: Array) -> bool:
+    """Whether a signal (N,) takes different values, apart from rounding."""
+    return bool(np.ptp(signal) > _ROUNDING * np.max(np.abs(signal)))

@@ -25,7 +25,7 @@ from pydantic import Field
 
 from hident.config.spec import Count, Flag, Real, component
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite
+from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
 from hident.estimators.bilinear_models.bilinear import lengths
 from hident.estimators.moving_horizon.searches import History
 from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
@@ -245,6 +245,7 @@ class VorosSpec(EstimatorSpec):
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         require_finite(record.y)
+        require_varying(record.y, "output")
         self.require_experiments(record)
         dt = 1.0 if record.dt is None else record.dt
         ratio = self._ratio(dt)

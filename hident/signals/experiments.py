@@ -203,7 +203,9 @@ class ExperimentPart(Spec):
 class Experiments(_Several):
     """Several experiments on the same system, one after the other in one record.
 
-    Each starts anew, from its own steady state. Noise is added to the record as a whole.
+    Each starts anew, from its own steady state. Noise is added to the record as a whole, so that coloured
+    noise runs on from one experiment into the next. Estimators that look back in time keep the experiments
+    apart, and leave the first samples of each out as they do those of a record.
     """
 
     parts: tuple[ExperimentPart, ...]

@@ -548,6 +548,44 @@ class TestSeveralExperiments:
             assert str(error)
 
 
+def _dull(example):
+    """Records that excite nothing, by what is dull in them."""
+    sound = generate(_data(example), 1, 0)
+    n = len(sound)
+    alternating = np.where(np.arange(n) % 2, -1.0, 1.0)
+    yield "input", replace(sound, u=np.zeros(n), y=np.zeros(n))
+    yield "input", replace(sound, u=np.full(n, 0.5), y=np.ones(n))
+    yield "input", replace(sound, u=np.full(n, 0.5), y=np.zeros(n))
+    yield "output", replace(sound, y=np.zeros(n))
+    yield "output", replace(sound, y=np.ones(n))
+    # The response of any linear block after a static function is of period 2 as well.
+    yield "period", replace(sound, u=alternating, y=0.3 + 0.7 * np.roll(alternating, 1))
+
+
+# Who may estimate from what: a static function has its values where the input was, a known nonlinearity of
+# two values tells two lags apart, a bound knows the truth, and a given block is given.
+_STATIC = ("kernel", "orthogonal")
+_CONTENT = {
+    "input": ("known_dynamics",),
+    "output": ("known_dynamics", "cramer_rao", *_STATIC),
+    "period": ("known_dynamics", "known_nonlinearity", *_STATIC),
+}
+
+
+@_each_example()
+def test_data_that_excite_nothing_fail_with_a_reason(example):
+    kind = example.settings["kind"]
+    for dull, record in _dull(example):
+        try:
+            found, _ = _fit(example, record)
+        except EstimationError as error:
+            assert len(str(error)) > 20
+        else:
+            assert kind in _CONTENT[dull], dull
+            assert kind not in _STATIC or "prefilter" not in example.settings
+            assert np.isfinite(list(found.values.values())).all()
+
+
 @_each_example("scale")
 def test_the_scale_of_the_output(example):
     record = generate(_data(example), 1, 0)

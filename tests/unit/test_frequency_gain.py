@@ -229,6 +229,73 @@ def test_responses_that_do_not_suit():
         SineResponses.of(PAPER[:2], [one], np.ones(1), np.zeros(1), 3)
 
 
+# Several roots of s_0
+
+WAVY = np.array([0.3, 1.0, -2.0, -0.4, 0.6])
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3])
+@pytest.mark.parametrize("amplitude", [0.5, 1.0, 1.5, 2.0])
+def test_of_several_roots_the_one_that_fits_is_taken(amplitude, noise):
+    frequencies, rng = [0.0312, 0.0624, 0.0936], np.random.default_rng(1)
+    data = responses(
+        frequencies, [(w, amplitude, 0.4) for w in frequencies], order=4, c=WAVY, noise=noise, rng=rng
+    )
+    gains = frequency_gains(data, exact(WAVY))
+    away = (gains.gains[0] - np.abs(g_i(np.array(frequencies)))) / np.maximum(gains.errors[0], 1e-9)
+    assert np.max(np.abs(away)) < 4.0
+    assert gains.freedom == 4
+    assert gains.solutions == 1
+    assert gains.why_misfit(0.001) == ""
+
+
+@QUICK
+@given(
+    st.lists(st.floats(-1.0, 1.0), min_size=2, max_size=3),
+    st.floats(-2.0, -1.0),
+    st.floats(0.5, 2.0),
+    st.floats(0.2, 0.6),
+)
+def test_any_polynomial_that_is_not_monotone(higher, c_2, amplitude, offset):
+    c = np.array([0.3, 1.0, c_2, *higher])
+    experiments = [(0.05, v * amplitude, offset) for v in (0.5, 0.8, 1.0)]
+    gains = frequency_gains(responses([0.05], experiments, order=2, c=c), exact(c))
+    assert gains.chi2 < 1.0
+    assert gains.gains[0][0] == pytest.approx(abs(g_i(0.05)), rel=1e-6) or gains.solutions > 1
+
+
+def test_what_the_data_do_not_tell_is_the_least_gain_and_is_counted():
+    # One sine gives as many equations as gains: each root of s_0 has its |Go|.
+    gains = frequency_gains(responses([0.05], [(0.05, 1.5, 0.4)], order=4, c=WAVY), exact(WAVY))
+    assert (gains.freedom, gains.solutions) == (0, 2)
+    assert gains.gains[0][0] == pytest.approx(abs(g_i(0.05)), rel=1e-9)
+    assert gains.why_misfit(0.001) == ""
+
+
+def test_chi_squared_is_that_of_its_degrees_of_freedom():
+    rng, errors = np.random.default_rng(5), 2e-3
+    found_gains = []
+    for _ in range(150):
+        data = responses(PAPER, [(w, 1.5, 0.0) for w in PAPER], noise=0.02, rng=rng)
+        found_gains.append(frequency_gains(data, exact(CUBIC + errors * rng.normal(size=4), errors), 0.5))
+    assert {gains.freedom for gains in found_gains} == {3}
+    chi2 = np.array([gains.chi2 for gains in found_gains])
+    # The mean of 150 has the standard error sqrt(2 * 3 / 150) = 0.2, the share beyond 5 % one of 1.8 %.
+    assert chi2.mean() == pytest.approx(3.0, abs=0.8)
+    assert np.mean(chi2 > 7.815) == pytest.approx(0.05, abs=0.07)
+
+
+def test_a_degree_that_is_too_low_does_not_fit():
+    cubic = np.polynomial.Polynomial.fit(x := np.linspace(-1.5, 1.5, 40), np.polyval(WAVY[::-1], x), 3)
+    rng = np.random.default_rng(1)
+    data = responses(PAPER, [(w, 1.5, 0.4) for w in PAPER], c=WAVY, noise=1e-3, rng=rng)
+    gains = frequency_gains(data, exact(cubic.convert().coef, 1e-3))
+    message = gains.why_misfit(0.001)
+    assert message.startswith(f"the gains do not fit the sines: chi^2 is {gains.chi2:.4g}, 16.27 the limit")
+    assert "raise the degree, lower the amplitudes V" in message
+    assert gains.why_misfit(0.0) == ""
+
+
 # The estimator
 
 
@@ -320,6 +387,22 @@ def test_a_transient_is_noticed_and_left_out():
         known(frequencies=[0.05]).fit(disturbed, RNG)
     values = known(frequencies=[0.05], transient=3).fit(disturbed, RNG).values
     assert values["gain_i_1"] == pytest.approx(abs(g_i(0.05)), rel=1e-5)
+
+
+def test_gains_that_do_not_fit_fail_unless_the_test_is_off():
+    wrong = {"nonlinearity": None, "coefficients": [50.0, 10.0, 2.0, 1 / 15]}
+    sines = record(SINES, noise=0.01)
+    with pytest.raises(
+        EstimationError, match=r"^the gains do not fit the sines: chi\^2 is .* 'fit_level: 0'"
+    ):
+        estimator(**wrong).fit(sines, RNG)
+    values = estimator(**wrong, fit_level=0).fit(sines, RNG).values
+    assert values["chi2"] > 1000.0
+    assert values["chi2_freedom"] == 3.0
+    right = known().fit(sines, RNG).values
+    assert right["chi2"] < 16.3
+    assert right["misfit"] < 1e-3
+    assert right["solutions"] == 1.0
 
 
 def test_lost_gains_are_an_error_or_nan():

@@ -45,7 +45,9 @@ def gains(grid, errors=1e-6, shift=0.0):
     logs = np.log(np.abs(np.concatenate((g_i(grid.inputs), g_o(grid.outputs)))))
     n = len(sums)
     weak = np.zeros((len(grid.inputs), 4), dtype=bool)
-    return FrequencyGains(grid, logs, errors**2 * np.eye(len(logs)), sums, np.full(n, errors), exact(), weak)
+    return FrequencyGains(
+        grid, logs, errors**2 * np.eye(len(logs)), sums, np.full(n, errors), exact(), weak, 0.0, 0, 0.0, 1
+    )
 
 
 def nothing(size):

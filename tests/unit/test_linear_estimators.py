@@ -258,7 +258,7 @@ def test_prefiltered_kernel_is_the_two_stage_method():
     u, _, y = hammerstein(np.random.default_rng(15), 300, linear, np.sin)
     spec = kernel_spec(prefilter=INSTRUMENTS)
     assert spec.provides() == {"nonlinearity", "linear", "value a_1", "value c"}
-    assert spec.fewest_samples() == 3
+    assert spec.fewest_samples() == 4
     estimate = spec.fit(Record(u, y), RNG)
     step1 = instrumental_variables(y, u, 1)
     assert estimate.values == step1.values and estimate.linear == step1.linear
@@ -344,3 +344,28 @@ def test_wrong_fields(cls, fields, where, message):
     (problem,) = error.value.errors()
     assert problem["loc"] == where
     assert problem["msg"].startswith(message)
+
+
+DYNAMICS = [
+    InstrumentalVariables(order=1, instrument=Identity()),
+    InstrumentalVariables(order=1, instrument=Identity(), ma_order=1),
+    LeastSquares(order=1),
+]
+
+
+@pytest.mark.parametrize("estimator", DYNAMICS)
+def test_an_input_of_period_two_tells_nothing_of_the_feedback(estimator):
+    # From rest, so that the first output alone is not of period two.
+    u = np.where(np.arange(90) % 2, -1.0, 1.0)
+    record = Record(u, TransferFunction(b=(0.0, 0.7, 0.4)).filter(u))
+    with pytest.raises(EstimationError, match=r"^the input follows from its last 1 value, so that"):
+        estimator.fit(record, RNG)
+
+
+def test_a_moving_average_that_no_instrument_is_correlated_with():
+    rng = np.random.default_rng(3)
+    y = np.zeros(90)
+    y[1::2] = 1.0
+    message = r"^the instruments are not correlated with what the feedback leaves of the output: the moving"
+    with pytest.raises(EstimationError, match=message):
+        instrumental_variables(y, rng.normal(size=90), 1, 1)

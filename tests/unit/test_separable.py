@@ -119,9 +119,12 @@ def test_failures():
     x, _ = simulated(7, ONE)
     with pytest.raises(EstimationError, match=r"^the regressors .* the input takes 1 different value"):
         spec(ONE).fit(Record(np.ones(100), x[:100]), RNG)
+    message = r"^the output is 0 throughout: nothing can be learnt from a constant output$"
+    with pytest.raises(EstimationError, match=message):
+        spec(ONE).fit(Record(x, np.zeros(300)), RNG)
     message = (
         r"^past outputs and inputs are linearly dependent: the input varies too little, "
         r"or the feedback order 1 is too high$"
     )
     with pytest.raises(EstimationError, match=message):
-        spec(ONE).fit(Record(x, np.zeros(300)), RNG)
+        start(np.ones((300, 2)), np.ones(300), 1)

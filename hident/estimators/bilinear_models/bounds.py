@@ -44,7 +44,7 @@ class CramerRao(BilinearSpec):
         return frozenset({"nonlinearity", "linear"})
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
-        phi, _, parts = self.data(record)
+        phi, parts = self.design(record)
         root = partial(ArModel(np.array(self.noise.a)).whiten, parts=parts) if self.noise else identity
         regression = Regression.of(phi, self.lags, root, self.delay)
         bounds = cramer_rao(regression, *self.true_parameters(record), self.variance)

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from hident.config.spec import Count, Of
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite
+from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
 from hident.estimators.bilinear_models.bilinear import Regression, lengths, normalised, regressors
 from hident.estimators.normalisation import Normalisation, unit_length
 from hident.numerics.parts import Parts, following, in_each, longer_than
@@ -84,25 +84,33 @@ class LaggedSpec(EstimatorSpec):
         Raises
         ------
         EstimationError
-            If no experiment is long enough for the lags, or the record is not finite.
+            If no experiment is long enough for the lags, or the output is not finite or constant.
         """
         require_finite(record.y)
-        phi = self._regressors(record)
-        parts = longer_than(record.experiments, self.first)
-        y = in_each(parts, lambda y: y[self.first :], record.y)
-        return phi, y, following(parts, self.first)
+        require_varying(record.y, "output")
+        phi, parts = self.design(record)
+        long = longer_than(record.experiments, self.first)
+        return phi, in_each(long, lambda y: y[self.first :], record.y), parts
 
-    def _regressors(self, record: Record) -> Array:
+    def design(self, record: Record) -> tuple[Array, Parts]:
+        """The regressors Phi (rows, n m), and where the rows of each experiment stand.
+
+        Raises
+        ------
+        EstimationError
+            If no experiment is long enough for the lags.
+        """
         self.require_experiments(record)
         parts = longer_than(record.experiments, self.first)
         if not parts:
             longest = max(part.stop - part.start for part in record.experiments)
             raise EstimationError(f"{longest} samples are too few for the lags {self.delay} to {self.first}")
         # The basis has a row for each function, the regressors one for each sample.
-        return in_each(parts, lambda x: regressors(self.basis_values(x), self.lags, self.delay), record.u)
+        phi = in_each(parts, lambda x: regressors(self.basis_values(x), self.lags, self.delay), record.u)
+        return phi, following(parts, self.first)
 
     def check_record(self, record: Record) -> None:
-        phi = self._regressors(record)
+        phi, _ = self.design(record)
         try:
             Regression.of(phi, self.lags, delay=self.delay)
         except EstimationError as error:

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite
+from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
 from hident.estimators.frequency.harmonics import samples_per_period
 from hident.estimators.normalisation import Normalisation
 from hident.records import Array, Estimate, Periodic, Record
@@ -119,6 +119,7 @@ class BestLinear(EstimatorSpec):
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         require_finite(record.y)
+        require_varying(record.y, "output")
         u, y = self._periods(record)
         found = best_linear_approximation(u, y, np.array(self.harmonics))
         columns = {

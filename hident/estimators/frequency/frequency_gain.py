@@ -6,12 +6,19 @@ A sine x_0 + V sin(w t) gives the harmonics (see :mod:`hident.estimators.frequen
 
 with g = |G|, theta_k(w) = k phi_i(w) + phi_o(k w) and the C_k of the identified polynomial. At one frequency
 s_1, ..., s_p are p equations for p + 1 gains: s_0 closes the set.
+
+Where the nonlinearity is not monotone s_0 may have several roots in g_i. So the fit starts from all local
+minima of a search at each frequency, the solution with the least chi^2 is taken (of equal ones that with the
+least gains), and its chi^2 is tested against its degrees of freedom.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +28,7 @@ from hident.estimators.frequency.gauge import FrequencyGrid, null_space, unwrap_
 from hident.estimators.frequency.harmonic_map import harmonic_matrix, harmonic_matrix_slope
 from hident.estimators.frequency.sine_responses import SineResponses
 from hident.estimators.frequency.staircase_levels import PolynomialFit
+from hident.numerics.choices import ROUNDING, TIE, first_least
 from hident.records import Array
 
 Complex = NDArray[np.complex128]
@@ -28,6 +36,17 @@ Mask = NDArray[np.bool_]
 
 # Gains among which the start is searched.
 _GAINS = np.geomspace(1e-4, 30.0, 600)
+# Up to so many combinations of the minima at the frequencies are all tried.
+_COMBINATIONS = 64
+# Solutions this close in ln |G_i| are one; those whose chi^2 differs by less than _EQUAL fit equally well.
+_SAME = 1e-6
+_EQUAL = 1e-3
+# The data tell two solutions apart if their chi^2 differ by four standard errors squared.
+_SEPARATE = 16.0
+# A search over many frequencies ends where chi^2 is below what a right model exceeds so often.
+_LIKELY = 0.05
+# A misfit up to this, relative to the fluctuation of the output, is tolerated whatever the noise.
+_TOLERATED = 1e-3
 _NULL = 1e-7
 _TOLERANCE = 1e-11
 
@@ -39,6 +58,11 @@ class FrequencyGains:
     ``log_gains`` (n + q,) holds ln |G_i| and then ln |G_o|, ``covariance`` (n + q, n + q) belongs to it.
     ``sums`` and ``sum_errors`` (n p,) are the phase sums theta_k(w_m) in radians, k running fastest.
     ``weak`` (n, p + 1) marks the harmonics 0, ..., p that are lost in the noise at each frequency.
+
+    ``chi2`` is the sum of the squared residuals in standard errors (means, harmonics along their phases,
+    prior knowledge of c), ``freedom`` their number less that of the parameters. ``misfit`` is the largest
+    residual relative to the fluctuation of the output. ``solutions`` counts the solutions met that the data
+    do not tell from this one (1: this one alone): their chi^2 is larger by less than 16.
     """
 
     grid: FrequencyGrid
@@ -48,6 +72,23 @@ class FrequencyGains:
     sum_errors: Array
     polynomial: PolynomialFit
     weak: Mask
+    chi2: float
+    freedom: int
+    misfit: float
+    solutions: int
+
+    def why_misfit(self, level: float) -> str:
+        """What to say if chi^2 is above what a right model exceeds with probability ``level``; else empty."""
+        largest = _limit(self.freedom, level)
+        if self.chi2 <= largest or not self.freedom or self.misfit <= _TOLERATED:
+            return ""
+        return (
+            f"the gains do not fit the sines: chi^2 is {self.chi2:.4g}, {largest:.4g} the limit for "
+            f"{self.freedom} degrees of freedom, and the largest misfit is {self.misfit:.2g} of the output's "
+            "fluctuation. The degree is too low for the range of the sines, the output has not settled, or "
+            "its noise is not white: raise the degree, lower the amplitudes V or leave out more periods; "
+            "'fit_level: 0' shows the estimate all the same"
+        )
 
     @property
     def gains(self) -> tuple[Array, Array]:
@@ -113,18 +154,24 @@ def frequency_gains(data: SineResponses, polynomial: PolynomialFit, threshold: f
     Raises
     ------
     EstimationError
-        If the least-squares problem has no solution.
+        If no least-squares fit converges.
 
     Notes
     -----
     Brouri, Table II, eq. (41), (44a). Differs from the paper: s_0 is used, and all equations together; the
-    s_k are signed by the C_k, where (44a) has minus signs against s_k >= 0.
+    s_k are signed by the C_k, where (44a) has minus signs against s_k >= 0; all roots of s_0 are tried.
     """
     visible = _visible(data, polynomial, threshold)
     problem = _Problem(data, polynomial, visible)
-    start = problem.start(_search(data, polynomial))
-    lost = problem.lost(start)
-    x, covariance = problem.solve(start, lost)
+    minima = _search(data, polynomial)
+    lost = problem.lost(problem.start(np.array([deepest[0] for deepest in minima])))
+    # A lost gain stays at its start, so one start is enough.
+    found = _solutions(
+        problem, [one[:1] if gone else one for one, gone in zip(minima, lost, strict=False)], lost
+    )
+    chi2 = np.array([solution.chi2 for solution in found])
+    solution = found[first_least(chi2, scale=_EQUAL / ROUNDING)]
+    x, covariance = solution.x, solution.covariance
     sums, errors = problem.phase_sums(x)
     c = len(x) - len(polynomial.coefficients)
     return FrequencyGains(
@@ -135,6 +182,10 @@ def frequency_gains(data: SineResponses, polynomial: PolynomialFit, threshold: f
         errors,
         PolynomialFit(x[c:], covariance[c:, c:]),
         data.summed(visible.astype(float)) == 0.0,
+        solution.chi2,
+        solution.freedom,
+        problem.misfit(x, lost),
+        int(np.count_nonzero(chi2 < solution.chi2 + _SEPARATE)),
     )
 
 
@@ -149,8 +200,88 @@ def _visible(data: SineResponses, polynomial: PolynomialFit, threshold: float) -
     return np.asarray(signal > threshold * np.column_stack((spread, data.error)))
 
 
-def _search(data: SineResponses, polynomial: PolynomialFit) -> Array:
-    """ln |G_i| (n,) by a search at each frequency by itself, the best G_o put in."""
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """The parameters with their covariance, chi^2 and its degrees of freedom."""
+
+    x: Array
+    covariance: Array
+    chi2: float
+    freedom: int
+
+    def fits(self, level: float) -> bool:
+        """Whether chi^2 is below what a right model exceeds with the probability ``level``, or next to 0."""
+        return self.chi2 <= max(_limit(self.freedom, level), _EQUAL)
+
+
+def _limit(freedom: int, level: float) -> float:
+    """The chi^2 that a right model exceeds with the probability ``level``; 0 without degrees of freedom."""
+    from scipy.special import chdtri
+
+    if level == 0.0:
+        return math.inf
+    return float(chdtri(freedom, level)) if freedom else 0.0
+
+
+def _solutions(problem: _Problem, minima: Sequence[Array], lost: Mask) -> list[_Solution]:
+    """The different solutions from the ``minima`` at the frequencies, those with the least gains first.
+
+    Where they have too many combinations, one frequency after the other takes its best minimum, until chi^2
+    is as small as that of a right model or no other minimum is better.
+
+    Raises
+    ------
+    EstimationError
+        If no fit converges.
+    """
+    found: list[_Solution] = []
+    refused: list[EstimationError] = []
+
+    def tried(log_inputs: Sequence[float]) -> _Solution | None:
+        try:
+            solution = problem.solve(problem.start(np.array(log_inputs)), lost)
+        except EstimationError as error:
+            refused.append(error)
+            return None
+        if not any(np.max(np.abs(solution.x - one.x)[: len(minima)]) < _SAME for one in found):
+            found.append(solution)
+        return solution
+
+    if math.prod(map(len, minima)) <= _COMBINATIONS:
+        for log_inputs in product(*minima):
+            tried(log_inputs)
+    else:
+        _exchange(tried, minima)
+    if not found:
+        raise refused[0]
+    # With |G_i| towards zero the model becomes linear, and any |G_i| |G_o| suits: no solution of its own.
+    ends, kept = np.log(_GAINS[[0, -1]]), ~lost[: len(minima)]
+    inside = [one for one in found if _within(one.x[: len(minima)][kept], *ends)]
+    found = inside or found
+    return sorted(found, key=lambda solution: float(np.sum(solution.x[: len(minima)])))
+
+
+def _within(x: Array, low: float, high: float) -> bool:
+    return bool(np.all((low <= x) & (x <= high)))
+
+
+def _exchange(tried: Callable[[Sequence[float]], _Solution | None], minima: Sequence[Array]) -> None:
+    """Try the minima at one frequency after the other, and keep the best, until it fits or none is better."""
+    at, better = [float(one[0]) for one in minima], True
+    best = tried(at)
+    while better:
+        better = False
+        for m, others in enumerate(minima):
+            for other in others:
+                if best is not None and best.fits(_LIKELY):
+                    return
+                solution = tried([*at[:m], float(other), *at[m + 1 :]]) if other != at[m] else None
+                if solution is not None and (best is None or solution.chi2 < best.chi2 - _EQUAL):
+                    at[m], best, better = float(other), solution, True
+
+
+def _search(data: SineResponses, polynomial: PolynomialFit) -> list[Array]:
+    """The local minima ln |G_i|, the deepest first, of a search at each frequency, the best G_o put in."""
     c = polynomial.coefficients
     matrix = harmonic_matrix(data.amplitude[:, None] * _GAINS, data.offset[:, None], len(c) - 1)
     level = matrix[..., 0, :]
@@ -165,7 +296,18 @@ def _search(data: SineResponses, polynomial: PolynomialFit) -> Array:
     explained = np.abs(data.summed(amplitudes * values)) ** 2
     total, size = data.summed(np.abs(values) ** 2), data.summed(amplitudes**2)
     left = total - np.divide(explained, size, out=np.zeros_like(explained), where=size > 0.0)
-    return np.asarray(np.log(_GAINS[np.argmin(data.summed(cost) + left.sum(axis=-1), axis=1)]))
+    return [_minima(row, len(c) - 1) for row in data.summed(cost) + left.sum(axis=-1)]
+
+
+def _minima(cost: Array, most: int) -> Array:
+    """ln of the gains at up to ``most`` local minima of ``cost`` over _GAINS, the deepest first.
+
+    The ends are none, and neither are the ripples of rounding where |G_i| is too small to matter.
+    """
+    deepest, within = first_least(cost), cost[1:-1]
+    local = (within < cost[:-2] - TIE * np.abs(within)) & (within <= cost[2:])
+    others = sorted(set((1 + np.flatnonzero(local)).tolist()) - {deepest}, key=lambda i: float(cost[i]))
+    return np.asarray(np.log(_GAINS[[deepest, *others[: most - 1]]]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,8 +419,31 @@ class _Problem:
         x[n : n + q] = np.log(self.best_outputs(x))
         return x
 
-    def solve(self, start: Array, lost: Mask) -> tuple[Array, Array]:
-        """x and its covariance; lost gains, and a c known exactly, stay as they are with no variance."""
+    def misfit(self, x: Array, lost: Mask) -> float:
+        """The largest residual of the data, or of c as known before, relative to the output's fluctuation."""
+        data = self.data
+        _, g_o, c = self.parts(x)
+        levels, _, matrix = self.harmonics(x)
+        gain = np.column_stack((np.ones(len(levels)), g_o[data.output]))
+        along = (data.values * np.exp(-1j * np.angle(self.turns(x)))[data.m]).real
+        measured = np.column_stack((data.mean, along))
+        rows = self.determined(lost)[: measured.size]
+        # The rows of the means stand before those of the harmonics.
+        used = np.column_stack((rows[: len(levels)], rows[len(levels) :].reshape(along.shape)))
+        away = np.abs(levels * gain - measured)
+        moved = np.abs(matrix @ (c - self.polynomial.coefficients) * gain)
+        fluctuation = math.sqrt(0.5 * float(np.max(np.sum(np.abs(data.values) ** 2, axis=1))))
+        largest = float(np.max(np.maximum(away, moved), initial=0.0, where=used))
+        return largest / fluctuation if fluctuation else 0.0
+
+    def solve(self, start: Array, lost: Mask) -> _Solution:
+        """The solution from ``start``; lost gains, and a c known exactly, stay as they are with no variance.
+
+        Raises
+        ------
+        EstimationError
+            If the fit does not converge.
+        """
         from scipy.optimize import least_squares
 
         free = np.concatenate((~lost, np.full(self.degree + 1, self.root is not None)))
@@ -292,26 +457,28 @@ class _Problem:
         def jacobian(part: Array) -> Array:
             return np.asarray(self.jacobian(whole(part))[np.ix_(rows, free)])
 
-        covariance = np.zeros((len(start), len(start)))
+        covariance, freedom = np.zeros((len(start), len(start))), int(rows.sum() - free.sum())
         if not free.any():
-            return start, covariance
-        fit = least_squares(
-            lambda part: self.residuals(whole(part))[rows],
-            start[free],
-            jacobian,
-            method="lm",
-            x_scale="jac",
-            xtol=_TOLERANCE,
-            ftol=_TOLERANCE,
-            gtol=_TOLERANCE,
-        )
-        if not fit.success or not np.all(np.isfinite(fit.x)):
+            return _Solution(start, covariance, float(np.sum(self.residuals(start)[rows] ** 2)), freedom)
+        # A start far from any solution may run off.
+        with np.errstate(over="ignore", invalid="ignore"):
+            fit = least_squares(
+                lambda part: self.residuals(whole(part))[rows],
+                start[free],
+                jacobian,
+                method="lm",
+                x_scale="jac",
+                xtol=_TOLERANCE,
+                ftol=_TOLERANCE,
+                gtol=_TOLERANCE,
+            )
+        if not (fit.success and np.all(np.isfinite(fit.x)) and np.isfinite(fit.cost)):
             raise EstimationError(f"the gains do not converge: {fit.message}")
         slopes = jacobian(fit.x)
         size = np.linalg.norm(slopes, axis=0)
         root = np.linalg.pinv(slopes / size) / size[:, None]
         covariance[np.ix_(free, free)] = root @ root.T
-        return whole(fit.x), covariance
+        return _Solution(whole(fit.x), covariance, 2.0 * float(fit.cost), freedom)
 
     def phase_sums(self, x: Array) -> tuple[Array, Array]:
         """theta (n p,) in (-pi, pi] and its standard errors; nan where no harmonic is seen."""

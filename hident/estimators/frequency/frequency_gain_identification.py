@@ -56,7 +56,9 @@ class FrequencyGainIdentification(EstimatorSpec):
 
     Values, for the frequency number m = 1, 2, ... and the harmonic k = 1, ..., order: gain_i_m = |Gi(j w_m)|,
     gain_o_m_k = |Go(j k w_m)|, phase_sum_m_k = k arg Gi(j w_m) + arg Go(j k w_m); with a gauge also
-    phase_i_m and phase_o_m_k, and the coefficients of a rational one; each with its se_. Where the
+    phase_i_m and phase_o_m_k, and the coefficients of a rational one; each with its se_. Whether they fit:
+    chi2 with chi2_freedom degrees of freedom, misfit (the largest residual relative to the output's
+    fluctuation) and solutions (how many the data do not tell apart; of these the least gains). Where the
     nonlinearity is estimated, c_0, ... as they are after the sines. Orders: order_power_m by eq. (39),
     order_ac_m the same without the mean, order_snr_m by signal-to-noise; examined + 1 where none suffices.
     Of the phases: how many there are (phase_unknowns), how many sums were seen (phase_equations), their rank
@@ -79,6 +81,8 @@ class FrequencyGainIdentification(EstimatorSpec):
     """Periods left out at the start of each sine."""
     threshold: Annotated[Real, Field(gt=0)] = 3.0
     """Standard errors below which a harmonic counts as lost in the noise."""
+    fit_level: Annotated[Real, Field(ge=0, lt=1)] = 0.001
+    """Probability that right gains fail the test of chi^2; also needs a misfit above 0.001. 0: no test."""
     lost: Literal["error", "omit"] = "error"
     """What to do if gains are not determined: error, or omit (they are nan)."""
     phases: Literal["sums", "single"] = "sums"
@@ -161,7 +165,8 @@ class FrequencyGainIdentification(EstimatorSpec):
         orders = [f"order_{rule}_{m}" for rule in ("power", "ac", "snr") for m, _ in self._numbered()]
         ranks = ("phase_unknowns", "phase_equations", "phase_rank")
         omega = [f"omega_{m}" for m, _ in self._numbered()]
-        values = (*names, *(f"se_{name}" for name in names), *omega, *orders, *ranks)
+        fit = ("chi2", "chi2_freedom", "misfit", "solutions")
+        values = (*names, *(f"se_{name}" for name in names), *omega, *orders, *ranks, *fit)
         return frozenset({"nonlinearity", *(f"value {name}" for name in values)})
 
     def _numbered(self) -> Iterator[tuple[int, float]]:
@@ -198,7 +203,11 @@ class FrequencyGainIdentification(EstimatorSpec):
         gains = frequency_gains(data, polynomial, self.threshold)
         if self.lost == "error" and gains.lost():
             raise EstimationError(gains.why_lost())
+        if misfit := gains.why_misfit(self.fit_level):
+            raise EstimationError(misfit)
         values = self._gain_values(gains) | self._order_values(found, data.m) | _rank_values(gains)
+        values |= {"chi2": gains.chi2, "chi2_freedom": float(gains.freedom)}
+        values |= {"misfit": gains.misfit, "solutions": float(gains.solutions)}
         details: dict[str, Any] = {"frequency_gains": gains, "lost": gains.why_lost()}
         values |= {f"omega_{m}": omega for m, omega in self._numbered()}
         if self.nonlinearity is not None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hident.errors import EstimationError
 from hident.estimators.frequency.gauge import FrequencyGrid, Phases
+from hident.numerics.choices import first_least
 from hident.records import Array
 
 Complex = NDArray[np.complex128]
@@ -131,7 +132,7 @@ def fit_rational(
     Raises
     ------
     EstimationError
-        If there are fewer data than coefficients, or the fitted blocks are unstable or undetermined.
+        If there are fewer data than coefficients, no fit converges, or the blocks are unstable.
 
     Notes
     -----
@@ -162,7 +163,9 @@ def fit_rational(
         least_squares(problem.residuals, start, problem.jacobian, method="lm", x_scale="jac")
         for start in problem.starts()
     ]
-    best = min(fits, key=lambda fit: float(fit.cost)).x
+    if not any(fit.success and np.isfinite(fit.cost) for fit in fits):
+        raise EstimationError(f"the rational blocks do not converge from any start: {fits[0].message}")
+    best = fits[first_least([fit.cost if fit.success else np.inf for fit in fits])].x
     root = np.linalg.pinv(problem.jacobian(best))
     spread = root @ root.T
     scale = unit ** -np.concatenate([np.arange(1, size + 1) for pair in orders for size in pair])

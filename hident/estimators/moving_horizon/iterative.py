@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from hident.config.spec import Count, Flag, Real
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite
+from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
 from hident.estimators.moving_horizon.horizon_least_squares import scaled_condition, variance_inflation
 from hident.estimators.moving_horizon.linear_transform import LinearFit, SecondStageSpec, StageSpec
 from hident.estimators.moving_horizon.time_weighted import Horizons
@@ -112,6 +112,7 @@ class MovingHorizonSpec(EstimatorSpec):
         MovingHorizonSpec.check_record(self, record)
         if not np.any(record.y):
             raise EstimationError("the output is zero throughout")
+        require_varying(record.y, "output")
         assert record.dt is not None
         return record.dt
 

@@ -17,7 +17,7 @@ from pydantic import Field
 from hident.config.spec import Count, Of, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite
-from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED, dynamics, lagged
+from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED, dynamics, lagged, require_irregular
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.numerics.parts import Parts
 from hident.records import Array, Estimate, Record
@@ -49,7 +49,8 @@ def instrumental_variables(
     Raises
     ------
     EstimationError
-        If Psi'Phi is singular, or (q > 0) the instruments are uncorrelated with what A leaves of the output.
+        If Psi'Phi is singular, or (q > 0) the instruments are
+        uncorrelated with what A leaves of the output.
 
     Notes
     -----
@@ -139,13 +140,15 @@ class InstrumentalVariables(EstimatorSpec):
         return frozenset({"linear", "value c", *feedback, *numerator})
 
     def fewest_samples(self) -> int:
-        # What the feedback leaves of the output, and the moving average needs, takes one equation more.
-        return 2 * self.order + self.ma_order + (2 if self.ma_order else 1)
+        # One equation more than unknowns: else any input would seem to follow from its past.
+        return 2 * self.order + self.ma_order + 2
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (first_coefficient(),)
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         self.require_experiments(record)
+        require_finite(record.y)
+        require_irregular(record.u, self.order, record.experiments)
         m = self.instrument(record.u)
         return instrumental_variables(record.y, m, self.order, self.ma_order, record.experiments)

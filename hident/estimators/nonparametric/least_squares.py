@@ -22,6 +22,10 @@ ILL_CONDITIONED = 1e12
 """Condition number, of columns scaled to length one, from which an estimate counts as singular."""
 
 
+# A residual this small, relative to the output, is rounding.
+_ROUNDING = 1e-12
+
+
 def lagged(x: Array, lags: range, start: int, parts: Parts | None = None) -> Array:
     """The rows x_{k-lag} for each lag, then a row of ones, at k = start, ..., N-1 of each experiment.
 
@@ -52,6 +56,22 @@ def dynamics(a: Array, b: Array, c: float, condition: float) -> Estimate:
     linear = TransferFunction(b=tuple(b.tolist()), a=tuple(a.tolist()))
     values = {name: value for name, value in linear.values().items() if name != "b_0"}
     return Estimate(linear=linear, values={**values, "c": c}, diagnostics={"condition": condition})
+
+
+def require_irregular(u: Array, p: int, parts: Parts | None = None) -> None:
+    """Raise EstimationError if the input ``u`` (N,) follows from its last ``p`` values, as a periodic one may.
+
+    The output then follows from its own past in the same way, whatever the feedback of the block.
+    """
+    rows = lagged(u, range(p + 1), p, parts)
+    now, past = rows[0], rows[1:]
+    left = now - past.T @ np.linalg.lstsq(past.T, now, rcond=None)[0]
+    if np.linalg.norm(left) <= _ROUNDING * np.linalg.norm(now):
+        raise EstimationError(
+            f"the input follows from its last {p} value{'s' if p > 1 else ''}, so that the feedback of the "
+            "block cannot be told from the input's own: use an input that varies irregularly from sample to "
+            "sample, or a longer record"
+        )
 
 
 def least_squares(y: Array, p: int, parts: Parts | None = None) -> Estimate:
@@ -121,11 +141,14 @@ class LeastSquares(EstimatorSpec):
         return frozenset({"linear", "value c", *(f"value a_{i + 1}" for i in range(self.order))})
 
     def fewest_samples(self) -> int:
-        return 2 * self.order + 1
+        # One equation more than unknowns: else any input would seem to follow from its past.
+        return 2 * self.order + 2
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (first_coefficient(),)
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         self.require_experiments(record)
+        require_finite(record.y)
+        require_irregular(record.u, self.order, record.experiments)
         return least_squares(record.y, self.order, record.experiments)

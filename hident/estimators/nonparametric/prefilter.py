@@ -14,7 +14,7 @@ from pydantic_core import PydanticCustomError
 from hident.config.spec import Component, Of, Real, Spec, components
 from hident.config.suggest import one_of
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments
+from hident.estimators.base import EstimatorSpec, Experiments, require_varying
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.numerics.parts import Parts, in_each, longer_than, whole
 from hident.records import Array, Characteristic, Estimate, Record
@@ -188,6 +188,7 @@ class NonparametricSpec(EstimatorSpec):
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         self.require_experiments(record)
+        require_varying(record.u, "input")
         dynamics = self.prefilter.fit(record, rng) if self.prefilter else Estimate()
         if dynamics.linear is not None:
             record = FilteredRecord.of(record, dynamics.linear)
