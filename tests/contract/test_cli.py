@@ -370,10 +370,10 @@ def test_export_of_an_unknown_kind_and_of_a_part(done: Lab) -> None:
 def test_only_accept_changes_results_and_compare_finds_any_change(done: Lab) -> None:
     results = done.folder / "results"
     assert "there is no folder results" in done.hident("compare", code=4).stderr
-    said = done.hident("accept", "tiny", "-j1")
-    assert said.stdout == "tiny: new\n"
-    assert "tiny, perturbation 1 of 2: 24 trials\n" in said.stderr
-    assert "tiny, perturbation 2 of 2: 24/24 trials done" in said.stderr
+    first = done.hident("accept", "tiny", "-j1")
+    assert first.stdout == "tiny: new\n"
+    assert "tiny, perturbation 1 of 2: 24 trials\n" in first.stderr
+    assert "tiny, perturbation 2 of 2: 24/24 trials done" in first.stderr
     accepted = {path.name: path.read_bytes() for path in (results / "tiny").iterdir()}
     out = done.folder / "out/tiny"
     copied = {path.name: path.read_bytes() for path in out.iterdir()}
@@ -408,9 +408,9 @@ def test_only_accept_changes_results_and_compare_finds_any_change(done: Lab) -> 
         "--trials and --seed of that run\n"
     )
     # The perturbed trials are stored.
-    said = done.hident("accept", "tiny", "--trials", "3")
-    assert said.stdout.startswith("tiny: changed, ")
-    assert "tiny, perturbation 2 of 2: all 12 trials are stored" in said.stderr
+    second = done.hident("accept", "tiny", "--trials", "3")
+    assert second.stdout.startswith("tiny: changed, ")
+    assert "tiny, perturbation 2 of 2: all 12 trials are stored" in second.stderr
     assert done.hident("accept", "none", code=4).stderr.startswith("error: out/none holds no finished run")
 
 

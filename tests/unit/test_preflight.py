@@ -233,7 +233,7 @@ def test_simulations_that_fail_are_failed_trials_and_no_reason_to_refuse(lab):
     text = (lab.folder / "out/tiny/table.md").read_text()
     said = re.search(
         r"(\d+) of 12 trials of estimator 'two stage' at samples 600 failed "
-        r"\(the first: the integration stopped at t = 0\.1\)",
+        r"\(the integration stopped at t = 0\.1\)",
         text,
     )
     assert said is not None, text
