@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from hident.config.spec import Count, Flag, Real, component
+from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
+from hident.estimators.base import Experiments, IteratingSpec, require_finite, require_varying
 from hident.estimators.bilinear_models.bilinear import lengths
 from hident.estimators.moving_horizon.searches import History
 from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
@@ -158,7 +158,7 @@ def iterate(update: Callable[[Array], tuple[Array, Array]], theta: Array, x: Arr
     return Iterations(np.array(found), False)
 
 
-class VorosSpec(EstimatorSpec):
+class VorosSpec(IteratingSpec):
     """Base of Voros's methods: their fields, the decimation of the record, and their report.
 
     The first samples of each experiment, as many as the largest lag, serve as past samples only.
@@ -180,8 +180,6 @@ class VorosSpec(EstimatorSpec):
     """Converged when no parameter changes by more, relative to the largest."""
     max_iterations: Annotated[Count, Field(ge=1)] = 200
     """Most iterations."""
-    require_convergence: Flag = False
-    """Whether an iteration that has not converged counts as failed; else its last estimate is reported."""
 
     def identify(self, u: Array, y: Array, parts: Parts) -> Iterations:
         """The iterations for a decimated record of these experiments, theta = (a, b, f, g)."""
@@ -259,8 +257,7 @@ class VorosSpec(EstimatorSpec):
                 + (f", and {first} more for each further experiment" if len(parts) > 1 else "")
             )
         found = self.identify(u, y, parts)
-        if self.require_convergence and not found.converged:
-            raise EstimationError(f"the iteration did not converge in {found.count} iterations")
+        self.require_converged(converged=found.converged, iterations=found.count)
         return self._estimate(found, ratio * dt)
 
     def _estimate(self, found: Iterations, step: float) -> Estimate:

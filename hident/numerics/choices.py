@@ -17,7 +17,7 @@ ROUNDING = 1e-13
 """A value this small, relative to the terms that it was computed from, is rounding."""
 
 
-def first_least(values: ArrayLike, *, scale: float = 0.0) -> int:
+def first_least(values: ArrayLike, *, scale: float = 0.0, preferred: ArrayLike | None = None) -> int:
     """The index of the first value that is the least up to rounding, in the flattened ``values``.
 
     Parameters
@@ -27,6 +27,8 @@ def first_least(values: ArrayLike, *, scale: float = 0.0) -> int:
     scale : float
         The size of the terms that the values were computed from, such as the sum of the squared outputs of a
         sum of squared residuals: differences below 1e-13 of it are rounding.
+    preferred : array of bool, the shape of ``values``
+        The candidates that count before all others, such as those whose iteration converged.
 
     Raises
     ------
@@ -39,9 +41,42 @@ def first_least(values: ArrayLike, *, scale: float = 0.0) -> int:
     1
     """
     flat = np.ravel(np.asarray(values, dtype=float))
-    finite = np.isfinite(flat)
-    if not finite.any():
+    candidates = np.isfinite(flat)
+    if not candidates.any():
         raise ValueError("no candidate has a finite value")
-    least = float(flat[finite].min())
+    if preferred is not None and np.any(first := candidates & np.ravel(np.asarray(preferred, dtype=bool))):
+        candidates = first
+    least = float(flat[candidates].min())
     near = flat <= least + TIE * abs(least) + ROUNDING * scale
-    return int(np.flatnonzero(finite & near)[0])
+    return int(np.flatnonzero(candidates & near)[0])
+
+
+def simplest_nearly_least(errors: ArrayLike, sizes: ArrayLike, factor: float) -> int:
+    """The index of the smallest of the candidates whose error is within ``factor`` of the least.
+
+    Of several of that size the most accurate counts, and of equal ones the first.
+
+    Parameters
+    ----------
+    errors : array, shape (S,)
+        The criterion of each candidate, not negative; nan and infinity are never chosen.
+    sizes : array, shape (S,)
+        How many parameters each has.
+    factor : float
+        At least 1; an error that equals the limit up to rounding is within it.
+
+    Raises
+    ------
+    ValueError
+        If no error is finite.
+
+    Examples
+    --------
+    >>> simplest_nearly_least([2.0, 1.1, 1.0], [1, 2, 3], 1.25)
+    1
+    """
+    found = np.asarray(errors, dtype=float)
+    limit = factor * found[first_least(found)] * (1.0 + TIE)
+    near = np.isfinite(found) & (found <= limit)
+    smallest = near & (np.asarray(sizes) == np.min(np.asarray(sizes)[near]))
+    return first_least(np.where(smallest, found, np.nan))

@@ -110,7 +110,7 @@ class TestTheHistory:
         assert history.values["e_2"][-1] == found.values["e_2"]
 
     def test_few_iterations_are_said_not_to_have_converged(self):
-        found = fit(max_iterations=3)
+        found = fit(max_iterations=3, unconverged="keep")
         assert found.values["converged"] == 0.0
         assert found.details["history"].reason.endswith("stopped after 3 iterations")
 

@@ -22,6 +22,7 @@ from pydantic import Field
 
 from hident.config.spec import Count, Real, Spec
 from hident.errors import EstimationError
+from hident.numerics.choices import TIE, first_least
 from hident.numerics.parts import Parts, in_each, longer_than, whole
 from hident.records import Array
 
@@ -180,14 +181,15 @@ def chi_squared(variances: Array, samples: int, confidence: float = 0.95) -> int
 
 
 def _first_enough(variances: Array, factor: Array | int, threshold: Array | float) -> int:
-    significant = factor * (variances[:-1] - variances[1:]) > threshold * variances[1:]
+    # A step that is significant by less than rounding is not: the lower order stays.
+    significant = factor * (variances[:-1] - variances[1:]) > threshold * variances[1:] * (1.0 + TIE)
     return int(np.argmin(np.append(significant, False)))
 
 
 def fpe(variances: Array, samples: int) -> int:
     """The order with the least final prediction error V_p (N + p)/(N - p)."""
     p = np.arange(len(variances))
-    return int(np.argmin(variances * (samples + p) / (samples - p)))
+    return first_least(variances * (samples + p) / (samples - p))
 
 
 class EstimatedAr(Spec):

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from hident.config.spec import Count, Flag, Real
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
+from hident.estimators.base import EstimatorSpec, Experiments, IteratingSpec, require_finite, require_varying
 from hident.estimators.moving_horizon.horizon_least_squares import scaled_condition, variance_inflation
 from hident.estimators.moving_horizon.linear_transform import LinearFit, SecondStageSpec, StageSpec
 from hident.estimators.moving_horizon.time_weighted import Horizons
@@ -117,7 +117,7 @@ class MovingHorizonSpec(EstimatorSpec):
         return record.dt
 
 
-class IterativeSpec(MovingHorizonSpec):
+class IterativeSpec(IteratingSpec, MovingHorizonSpec):
     """Base of the iterative two-stage estimators."""
 
     instead: ClassVar[Mapping[str, str]] = {
@@ -145,6 +145,11 @@ class IterativeSpec(MovingHorizonSpec):
     def largest_n(self) -> int:
         """The largest order n among the stages, up to which parameters are named."""
         return max(self.first.n, 0 if self.second is None else self.second.most)
+
+    def require_settled(self, first: ContinuousTransferFunction, second: ContinuousTransferFunction) -> None:
+        """Raise EstimationError if section 5's loop ended while the structure still changed."""
+        if structure_of(first) != structure_of(second) and self.unconverged == "fail":
+            raise EstimationError(f"the structure still changes after {ROUNDS} rounds of 'automatic'")
 
     def function_parameters(self) -> int:
         """The number of parameters of the first stage besides a_1, ..., a_n and b_1, ..., b_m."""

@@ -131,6 +131,8 @@ class IterativeHammerstein(IterativeSpec):
             assert second is not None
             if structure_of(second.block) == (n, m, delay):
                 break
+        assert second is not None
+        self.require_settled(first.block, second.block)
         return first, second, search
 
     def _estimate(
@@ -141,14 +143,16 @@ class IterativeHammerstein(IterativeSpec):
         second: LinearFit | None,
         search: StructureSearch | None,
     ) -> Estimate:
+        iterations, converged = int(first.iteration.iterations[0]), bool(first.iteration.converged[0])
+        self.require_converged(converged=converged, iterations=iterations)
         block = first.block if second is None else second.block
         function = first.function
         values = {
             **self.stage_values(first.block, first.phi, first.horizons, second),
             **self._errors(record, dt, first, second),
             **{f"c_{j}": c for j, c in enumerate(function.c, start=1)},
-            "iterations": float(first.iteration.iterations[0]),
-            "converged": float(first.iteration.converged[0]),
+            "iterations": float(iterations),
+            "converged": float(converged),
         }
         if isinstance(function, ThreeSegmentFunction):
             values |= {"u_-1": function.lower, "u_1": function.upper}

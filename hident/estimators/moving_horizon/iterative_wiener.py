@@ -116,6 +116,8 @@ class IterativeWiener(IterativeSpec):
                 break
             wiener, first = self._first(record, dt, self.first.of_structure(n, m), delay)
             second, search = self._second(record, dt, first)
+        if self.automatic and second is not None:
+            self.require_settled(first.block, second.block)
         return self._estimate(record, dt, wiener, first, second, search)
 
     def _first(self, record: Record, dt: float, stage: StageSpec, delay: float) -> tuple[Wiener, WienerStage]:
@@ -161,6 +163,7 @@ class IterativeWiener(IterativeSpec):
         second: LinearFit | None,
         search: StructureSearch | None,
     ) -> Estimate:
+        self.require_converged(converged=first.history.converged, iterations=first.iterations)
         block = first.block if second is None else second.block
         unit = block.scaled(1.0 / block.b[0])
         v = responses_in(record.experiments, unit, record.u, dt)

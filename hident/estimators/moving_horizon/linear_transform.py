@@ -24,6 +24,7 @@ from hident.errors import EstimationError
 from hident.estimators.moving_horizon.horizon_least_squares import solve
 from hident.estimators.moving_horizon.searches import StructureSearch
 from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
+from hident.numerics.choices import simplest_nearly_least
 from hident.numerics.parts import Parts, in_each, whole
 from hident.records import Array, Characteristic
 from hident.systems.continuous import ContinuousTransferFunction
@@ -191,12 +192,11 @@ def search_structure(
     error = np.array(errors)
     if not np.any(np.isfinite(error)):
         raise EstimationError(f"no structure up to n = {largest_n} gives a stable linear block{refused}")
-    near = error <= nearly_best * error.min()
-    chosen = min(np.flatnonzero(near), key=lambda i: (sum(candidates[i][:2]), error[i]))
+    chosen = simplest_nearly_least(error, [n + m for n, m, _ in candidates], nearly_best)
     best = fits[chosen]
     assert best is not None
     ns, ms, ds = (np.array(part) for part in zip(*candidates, strict=True))
-    return best, StructureSearch(ns, ms, ds.astype(float), error, int(chosen))
+    return best, StructureSearch(ns, ms, ds.astype(float), error, chosen)
 
 
 class StageSpec(Spec):

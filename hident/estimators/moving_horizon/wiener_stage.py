@@ -29,6 +29,7 @@ from hident.estimators.moving_horizon.wiener_iteration import (
     Wiener,
     iterate,
 )
+from hident.numerics.choices import first_least
 from hident.numerics.parts import in_each, longer_than
 from hident.records import Array, Characteristic
 from hident.systems.continuous import ContinuousTransferFunction
@@ -220,7 +221,8 @@ def search_partition(
     The grid, of ``points`` of either sign, lies at Chebyshev points of the output's range on either side of
     zero, dense towards zero and the ends. A refinement tries the neighbours of the best pair at half the
     distance. Pairs that end in an unstable block or a slope e_i that is not positive are rejected. If all
-    are, the search starts again on a grid twice as fine, its iterations from the linear model's output.
+    are, the search starts again on a grid twice as fine, its iterations from the linear model's output. Pairs
+    whose iteration converged count before those whose did not, and of equal ones the first.
 
     Raises
     ------
@@ -234,23 +236,23 @@ def search_partition(
         step = 0.5 * np.pi / (count + 1)
         grid = step * np.arange(1, count + 1)
         angles = _pairs(grid[::-1], grid)
-        first = _losses(wiener, rule, start, _points(ends, angles), x)
-        if np.any(np.isfinite(first)):
+        tried = _losses(wiener, rule, start, _points(ends, angles), x)
+        if np.any(np.isfinite(tried[0])):
             break
     else:
         raise EstimationError("no pair of partition points gives a stable linear block and rising segments")
-    loss = first
+    first, scale = tried[0], wiener.dt * float(wiener.y @ wiener.y)
     for _ in range(refinements):
         step /= 2.0
-        best = np.nanargmin(loss)
+        best = first_least(tried[0], scale=scale, preferred=tried[1])
         near = _pairs(*(angles[:, best, None] + step * np.arange(-1.0, 2.0)))
         near = near[:, np.all((near > 0.0) & (near < 0.5 * np.pi), axis=0)]
-        loss = np.append(loss, _losses(wiener, rule, start, _points(ends, near), x))
+        tried = np.hstack((tried, _losses(wiener, rule, start, _points(ends, near), x)))
         angles = np.hstack((angles, near))
-    best = np.nanargmin(loss)
+    best = first_least(tried[0], scale=scale, preferred=tried[1])
     lower, upper = _points(ends, np.array([grid[::-1], grid]))
     below, above = _points(ends, angles[:, best]).tolist()
-    return PartitionSearch(lower, upper, first.reshape(count, count), (below, above), float(loss[best]))
+    return PartitionSearch(lower, upper, first.reshape(count, count), (below, above), float(tried[0, best]))
 
 
 def _pairs(lower: ArrayLike, upper: ArrayLike) -> Array:
@@ -264,10 +266,13 @@ def _points(ends: Array, angles: Array) -> Array:
 
 
 def _losses(wiener: Wiener, rule: Rule, start: float, points: Array, x: Array) -> Array:
-    """The criterion (31) for each pair of partition points (2, J); nan where the pair is rejected."""
+    """The criterion (31) of each pair of ``points`` (2, J), and whether its iteration converged; (2, J).
+
+    The criterion is nan where the pair is rejected.
+    """
     at_once = max(1, _AT_ONCE // len(x))
     parts = [points[:, i : i + at_once] for i in range(0, points.shape[1], at_once)]
-    return np.concatenate([_some_losses(wiener, rule, start, part, x) for part in parts])
+    return np.hstack([_some_losses(wiener, rule, start, part, x) for part in parts])
 
 
 def _some_losses(wiener: Wiener, rule: Rule, start: float, points: Array, x: Array) -> Array:
@@ -281,4 +286,4 @@ def _some_losses(wiener: Wiener, rule: Rule, start: float, points: Array, x: Arr
     output = forward(x, e.T, *points[:, sound])
     losses = np.full(len(sound), np.nan)
     losses[sound] = wiener.dt * np.sum((y[:, None] - output) ** 2, axis=0)
-    return losses
+    return np.array([losses, found.converged])
