@@ -21,7 +21,7 @@ CONFIG = """\
 version: 1
 title: An estimator left out of one case
 trials: 3
-system: {kind: hammerstein, nonlinearity: identity, linear: {kind: fir, b: [0.8, 0.6]}}
+system: {kind: hammerstein, nonlinearity: identity, linear: {kind: fir, b: [1, 0]}}
 excitation: {kind: iid, distribution: uniform, low: -1, high: 1}
 cases:
   samples: [60, 120]

@@ -329,4 +329,4 @@ def test_experiments_sampled_otherwise_than_the_record_are_refused_before_the_ru
 def test_experiments_too_short_for_the_lags_are_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"100 samples are too few for the lags 101 to 102$"):
         late = BASIS.replace("delay: 1", "delay: 101")
-        check_records(plan(tmp_path, f"{{kind: two_stage, {late}}}", "a_1, a_2"))
+        check_records(plan(tmp_path, f"{{kind: two_stage, {late}}}", "a_1, a_2", metric="value"))
