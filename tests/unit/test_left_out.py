@@ -29,7 +29,7 @@ cases:
     iid: {}
     prbs: {excitation: {kind: prbs, order: 7}, estimators.two-stage: null}
 estimators:
-  two-stage: {kind: two_stage, lags: 2, degree: 2}
+  two-stage: {kind: two_stage, lags: 2, delay: 0, degree: 2}
   kernel: {kind: kernel, kernel: gaussian, bandwidth: {h0: 0.2, alpha: 1/5}}
 metrics:
   mise: {kind: mise, interval: [-1, 1]}
