@@ -58,7 +58,7 @@ def dynamics(a: Array, b: Array, c: float, condition: float) -> Estimate:
 
 
 def require_irregular(u: Array, p: int, parts: Parts | None = None) -> None:
-    """Raise EstimationError if the input ``u`` (N,) follows from its last ``p`` values, as a periodic one may.
+    """Raise EstimationError if the input ``u`` (N,) follows from its last ``p`` values, as periodic ones may.
 
     The output then follows from its own past in the same way, whatever the feedback of the block.
     """
