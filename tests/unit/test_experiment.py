@@ -444,11 +444,11 @@ class TestMessages:
             ),
             (
                 ("samples: 50", "samples: 2"),
-                ["13: estimators.iv: needs at least 3 samples, but samples is 2"],
+                ["13: estimators.iv: needs at least 4 samples, but samples is 2"],
             ),
             (
                 ("order: 1", "order: 1000000000"),
-                ["13: estimators.iv: needs at least 2000000001 samples, but samples is 50"],
+                ["13: estimators.iv: needs at least 2000000002 samples, but samples is 50"],
             ),
             (
                 (

@@ -344,8 +344,12 @@ def test_other_failures():
     assert failure(spec(), x, np.where(x > 2, np.nan, x)).startswith("the output has ")
     assert failure(spec(), np.append(x[1:], np.nan)) == "phi_1 is not finite at 1 of 60 samples of the input"
     assert failure(spec(), x, np.zeros(60)) == (
-        "the output does not depend on the input: the estimate of b a' is zero"
+        "the output is 0 throughout: nothing can be learnt from a constant output"
     )
+    with pytest.raises(
+        EstimationError, match=r"^the output does not depend on the input: the estimate of b a'"
+    ):
+        two_stage(Regression.of(np.eye(8)[:, :4], 2), np.zeros(8))
     assert failure(spec(), x[:2]) == "2 samples are too few for the lags 1 to 2"
     assert failure(spec(), x[:9]) == (
         "7 equations cannot determine 10 coefficients: "
