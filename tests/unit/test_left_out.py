@@ -131,7 +131,8 @@ def test_tables_figures_and_exports_do_without_it(plan, tmp_path: Path) -> None:
     rows = [
         [cell.strip() for cell in line.split("|")] for line in table.splitlines() if line.startswith("| ")
     ]
-    assert [row[1] for row in rows if "-" in row] == ["60, prbs", "120, prbs"]
+    # A rate of two cases with equal estimates has no slope to show either.
+    assert [row[1] for row in rows if "-" in row and row[1] != "kernel"] == ["60, prbs", "120, prbs"]
     assert (out / "verdicts.csv").read_text().count("\nT,") == 2
     assert (
         "3 trials" in str(export(found, tmp_path / "store", tmp_path / "a.csv"))

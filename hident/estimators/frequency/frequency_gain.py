@@ -37,7 +37,9 @@ Mask = NDArray[np.bool_]
 # Gains among which the start is searched.
 _GAINS = np.geomspace(1e-4, 30.0, 600)
 # Up to so many combinations of the minima at the frequencies are all tried.
-_COMBINATIONS = 64
+_COMBINATIONS = 8
+# A start from which more evaluations do not lead to a minimum runs along the valley of vanishing |G_i|.
+_EVALUATIONS = 200
 # Solutions this close in ln |G_i| are one; those whose chi^2 differs by less than _EQUAL fit equally well.
 _SAME = 1e-6
 _EQUAL = 1e-3
@@ -471,6 +473,7 @@ class _Problem:
                 xtol=_TOLERANCE,
                 ftol=_TOLERANCE,
                 gtol=_TOLERANCE,
+                max_nfev=_EVALUATIONS,
             )
         if not (fit.success and np.all(np.isfinite(fit.x)) and np.isfinite(fit.cost)):
             raise EstimationError(f"the gains do not converge: {fit.message}")
