@@ -23,20 +23,21 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from hident.config.spec import Count, Flag, Real, component
+from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite
 from hident.estimators.bilinear_models.bilinear import lengths
+from hident.estimators.convergence import Unconverged, settle
 from hident.estimators.moving_horizon.searches import History
 from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.numerics.parts import Parts, in_each, joined, longer_than, whole
+from hident.numerics.whole import nearest_whole
 from hident.records import Array, Characteristic, Estimate, Record, Response
 from hident.systems.linear import TransferFunction
 
 _DIVERGED = 1e6
 """Growth of the internal variable, relative to the first iteration's, that counts as divergence."""
-_WHOLE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,8 +181,8 @@ class VorosSpec(EstimatorSpec):
     """Converged when no parameter changes by more, relative to the largest."""
     max_iterations: Annotated[Count, Field(ge=1)] = 200
     """Most iterations."""
-    require_convergence: Flag = False
-    """Whether an iteration that has not converged counts as failed; else its last estimate is reported."""
+    unconverged: Unconverged = "fail"
+    """Whether an iteration that has not converged by then counts as failed, or is kept as it is."""
 
     def identify(self, u: Array, y: Array, parts: Parts) -> Iterations:
         """The iterations for a decimated record of these experiments, theta = (a, b, f, g)."""
@@ -235,11 +236,12 @@ class VorosSpec(EstimatorSpec):
         """The samples of the record in a step."""
         if self.step is None:
             return 1
-        ratio = round(self.step / dt)
-        if ratio < 1 or abs(self.step / dt - ratio) > _WHOLE * ratio:
+        ratio = nearest_whole(self.step / dt)
+        if ratio is None:
+            near = max(round(self.step / dt), 1) * dt
             raise ValueError(
                 f"'step' must be a multiple of the sampling interval {dt:g}, not {self.step:g}: "
-                f"{max(ratio, 1) * dt:g} is the nearest"
+                f"{near:g} is the nearest"
             )
         return ratio
 
@@ -258,8 +260,7 @@ class VorosSpec(EstimatorSpec):
                 + (f", and {first} more for each further experiment" if len(parts) > 1 else "")
             )
         found = self.identify(u, y, parts)
-        if self.require_convergence and not found.converged:
-            raise EstimationError(f"the iteration did not converge in {found.count} iterations")
+        settle(found.converged, found.count, self.unconverged)
         return self._estimate(found, ratio * dt)
 
     def _estimate(self, found: Iterations, step: float) -> Estimate:
@@ -290,10 +291,9 @@ def at_step(simulate: Characteristic, step: float) -> Response:
     """
 
     def response(u: Array, dt: float) -> Array:
-        finer, coarser = round(dt / step), round(step / dt)
-        if abs(dt - finer * step) <= _WHOLE * dt:
+        if finer := nearest_whole(dt / step):
             return simulate(np.repeat(u, finer))[::finer]
-        if abs(step - coarser * dt) <= _WHOLE * step:
+        if coarser := nearest_whole(step / dt):
             at: NDArray[np.intp] = np.arange(0, len(u), coarser)
             return np.interp(np.arange(len(u)), at, simulate(u[at]))
         raise ValueError(

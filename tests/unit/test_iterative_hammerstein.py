@@ -167,9 +167,13 @@ class TestRecovery:
         assert {len(values) for values in history.values.values()} == {count}
         assert history.values["a_3"][-1] == found.values["first_a_3"]
         np.testing.assert_array_equal(history.values["b_0"], 1.0)
-        stopped = fitted(record(**FINE), max_iterations=2)
+        stopped = fitted(record(**FINE), max_iterations=2, unconverged="keep")
         assert stopped.details["history"].reason == "stopped after 2 iterations"
         assert (stopped.values["iterations"], stopped.values["converged"]) == (2.0, 0.0)
+
+    def test_an_iteration_that_has_not_converged_fails(self):
+        with pytest.raises(EstimationError, match=r"^the iteration has not converged in 2 iterations$"):
+            fitted(record(**FINE), max_iterations=2)
 
     def test_gives_what_it_provides(self):
         for fields in (

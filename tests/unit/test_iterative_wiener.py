@@ -110,9 +110,11 @@ class TestTheHistory:
         assert history.values["e_2"][-1] == found.values["e_2"]
 
     def test_few_iterations_are_said_not_to_have_converged(self):
-        found = fit(max_iterations=3)
+        found = fit(max_iterations=3, unconverged="keep")
         assert found.values["converged"] == 0.0
         assert found.details["history"].reason.endswith("stopped after 3 iterations")
+        with pytest.raises(EstimationError, match=r"^the iteration has not converged in 3 iterations$"):
+            fit(max_iterations=3)
 
     @settings(deadline=None, derandomize=True, max_examples=8)
     @given(time=st.floats(0.01, 100.0), output=st.floats(0.01, 100.0), source=st.floats(0.01, 100.0))

@@ -171,11 +171,11 @@ class TestIteration:
         u = excited()
         record = Record(u, hammerstein(u))
         short = HAMMERSTEIN.model_copy(update={"max_iterations": 2})
-        found = short.fit(record, RNG)
+        found = short.model_copy(update={"unconverged": "keep"}).fit(record, RNG)
         assert (found.values["iterations"], found.values["converged"]) == (2.0, 0.0)
         assert found.details["history"].reason == "the most iterations are reached"
-        with pytest.raises(EstimationError, match=r"^the iteration did not converge in 2 iterations$"):
-            short.model_copy(update={"require_convergence": True}).fit(record, RNG)
+        with pytest.raises(EstimationError, match=r"^the iteration has not converged in 2 iterations$"):
+            short.fit(record, RNG)
 
 
 @given(gain=st.floats(1e-3, 1e3), seed=st.integers(0, 100))
@@ -254,7 +254,7 @@ class TestErrors:
             ("relaxation", 0, "greater than 0"),
             ("relaxation", 1.1, "less than or equal to 1"),
             ("tolerance", 0, "greater than 0"),
-            ("require_convergence", 1, "must be true or false"),
+            ("unconverged", True, "must be 'fail' or 'keep'"),
         ],
     )
     def test_fields(self, field, wrong, message):

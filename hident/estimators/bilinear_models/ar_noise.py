@@ -22,6 +22,7 @@ from pydantic import Field
 
 from hident.config.spec import Count, Real, Spec
 from hident.errors import EstimationError
+from hident.numerics.choices import first_least
 from hident.numerics.parts import Parts, in_each, longer_than, whole
 from hident.records import Array
 
@@ -185,9 +186,9 @@ def _first_enough(variances: Array, factor: Array | int, threshold: Array | floa
 
 
 def fpe(variances: Array, samples: int) -> int:
-    """The order with the least final prediction error V_p (N + p)/(N - p)."""
+    """The order with the least final prediction error V_p (N + p)/(N - p), the lowest if several tie."""
     p = np.arange(len(variances))
-    return int(np.argmin(variances * (samples + p) / (samples - p)))
+    return first_least(variances * (samples + p) / (samples - p))
 
 
 class EstimatedAr(Spec):

@@ -11,6 +11,7 @@ from functools import partial
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from hident.config.spec import Count, Spec
@@ -18,7 +19,7 @@ from hident.errors import EstimationError
 from hident.estimators.moving_horizon.hammerstein_iteration import Iteration, iterate
 from hident.estimators.moving_horizon.linear_transform import StageSpec, block_of
 from hident.estimators.moving_horizon.partition import Partition, require_inside
-from hident.estimators.moving_horizon.searches import History, PartitionSearch
+from hident.estimators.moving_horizon.searches import History, PartitionSearch, best_pair
 from hident.estimators.moving_horizon.static_functions import (
     PolynomialFunction,
     ThreeSegmentFunction,
@@ -142,7 +143,8 @@ def first_stage(
     else:
         require_inside(nonlinearity.partition, u, "input")
         if nonlinearity.partition == "search":
-            partition = _search(levels, nonlinearity, lambda functions: iterated(functions)[1].loss)
+            scale = float(output[0] @ output[0])
+            partition = _search(levels, nonlinearity, lambda functions: iterated(functions)[1], scale)
             lower, upper = partition.best
         else:
             lower, upper = nonlinearity.partition
@@ -167,10 +169,13 @@ def _three_segment(c: Array, lower: float, upper: float) -> StaticFunction:
     return ThreeSegmentFunction(tuple(c.tolist()), lower, upper)
 
 
-def _search(levels: Array, spec: ThreeSegment, losses: Callable[[Array], Array]) -> PartitionSearch:
+def _search(
+    levels: Array, spec: ThreeSegment, iterated: Callable[[Array], Iteration], scale: float
+) -> PartitionSearch:
     """The partition points that minimise (30), on a grid over the input's range and finer ones around.
 
-    As in the paper only the criterion counts: a pair whose iteration did not settle may win.
+    The first of the pairs that tie counts, and pairs whose iteration has not converged only if all have not.
+    ``scale`` is the criterion of the model zero.
 
     Raises
     ------
@@ -179,29 +184,33 @@ def _search(levels: Array, spec: ThreeSegment, losses: Callable[[Array], Array])
     """
     low, high = float(levels.min()), float(levels.max())
 
-    def evaluated(lower: Array, upper: Array) -> Array:
+    def evaluated(lower: Array, upper: Array) -> tuple[Array, NDArray[np.bool_]]:
         # Long records are searched in pieces, so that memory does not grow with the number of pairs.
         pieces = min(len(lower), -(-len(levels) * len(lower) * len(upper) // _AT_ONCE))
-        loss = []
+        loss, converged = [], []
         for some in np.array_split(lower, pieces):
             pairs = np.meshgrid(some, upper, indexing="ij")
             functions = three_segments(levels[:, None, None], *pairs).reshape(len(levels), -1, spec.size)
-            loss.append(losses(functions).reshape(len(some), len(upper)))
-        found = np.concatenate(loss)
-        return np.where(np.isfinite(found), found, np.nan)
+            found = iterated(functions)
+            loss.append(found.loss)
+            converged.append(found.converged)
+        shape = len(lower), len(upper)
+        every = np.concatenate(loss).reshape(shape)
+        return np.where(np.isfinite(every), every, np.nan), np.concatenate(converged).reshape(shape)
 
     inner = np.arange(1, spec.points + 1) / (spec.points + 1)
     lower, upper = low * inner, high * inner
-    first = loss = evaluated(lower, upper)
+    loss, converged = evaluated(lower, upper)
+    first = loss
     grid = (lower, upper)
     steps = -low / (spec.points + 1), high / (spec.points + 1)
     for refinement in range(spec.refinements + 1):
         if not np.any(np.isfinite(loss)):
             raise EstimationError("no partition points give a regression that is not singular")
-        i, j = np.unravel_index(np.nanargmin(loss), loss.shape)
+        i, j = np.unravel_index(best_pair(loss, converged, scale), loss.shape)
         best, least = (float(lower[i]), float(upper[j])), float(loss[i, j])
         if refinement < spec.refinements:
             finer = _FINER / 4.0**refinement
             lower, upper = best[0] + steps[0] * finer, best[1] + steps[1] * finer
-            loss = evaluated(lower, upper)
+            loss, converged = evaluated(lower, upper)
     return PartitionSearch(*grid, first, best, least)

@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 from hident.config.spec import Count, Flag, Real
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite
+from hident.estimators.convergence import Unconverged
 from hident.estimators.moving_horizon.horizon_least_squares import scaled_condition, variance_inflation
 from hident.estimators.moving_horizon.linear_transform import LinearFit, SecondStageSpec, StageSpec
 from hident.estimators.moving_horizon.time_weighted import Horizons
@@ -133,6 +134,8 @@ class IterativeSpec(MovingHorizonSpec):
     """The iteration ends when the parameters change by less than this, relative to their norm."""
     max_iterations: Annotated[Count, Field(ge=1)]
     """The most iterations."""
+    unconverged: Unconverged = "fail"
+    """Whether a first stage that has not converged by then counts as failed, or is kept as it is."""
 
     @model_validator(mode="after")
     def _loop_needs_a_search(self) -> Self:
