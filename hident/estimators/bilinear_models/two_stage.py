@@ -230,11 +230,13 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
         return Estimate(
             nonlinearity=self.nonlinearity(a),
             linear=self.linear(b),
-            values=self.named(b, a)
-            | self.named(*errors, prefix="se_")
-            | least
-            | weighted.order_value()
-            | values,
+            values={
+                **self.named(b, a),
+                **self.named(*errors, prefix="se_"),
+                **least,
+                **weighted.order_value(),
+                **values,
+            },
             diagnostics={"condition": weighted.white.condition, **diagnostics},
         )
 
