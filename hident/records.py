@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.numerics.choices import sorting
 from hident.numerics.parts import Parts, whole
 
 if TYPE_CHECKING:
@@ -154,7 +155,7 @@ class Record:
     @cached_property
     def order(self) -> NDArray[np.intp]:
         """An order that sorts u over the whole record, shared by all estimators of this record."""
-        order = np.argsort(self.u)
+        order = sorting(self.u)
         order.flags.writeable = False
         return order
 

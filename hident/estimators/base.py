@@ -105,21 +105,6 @@ class EstimatorSpec(Component):
         raise NotImplementedError
 
 
-class IteratingSpec(EstimatorSpec):
-    """Base of the estimators whose iteration may come to its end without having converged."""
-
-    unconverged: Literal["fail", "keep"] = "fail"
-    """What an iteration gives that has not converged at its end: a failed trial, or its last iterate."""
-
-    def require_converged(self, *, converged: bool, iterations: int) -> None:
-        """Raise EstimationError if the iteration has not converged, unless its last iterate is kept."""
-        if not converged and self.unconverged == "fail":
-            raise EstimationError(
-                f"the iteration has not converged in {iterations} iterations: allow more with "
-                "'max_iterations', or keep the last iterate with 'unconverged: keep'"
-            )
-
-
 def require_finite(y: Array) -> None:
     """Raise EstimationError if the output holds nan or infinity."""
     wrong = len(y) - np.count_nonzero(np.isfinite(y))

@@ -25,18 +25,19 @@ from pydantic import Field
 
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
-from hident.estimators.base import Experiments, IteratingSpec, require_finite, require_varying
+from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
 from hident.estimators.bilinear_models.bilinear import lengths
+from hident.estimators.convergence import Unconverged, settle
 from hident.estimators.moving_horizon.searches import History
 from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.numerics.parts import Parts, in_each, joined, longer_than, whole
+from hident.numerics.whole import nearest_whole
 from hident.records import Array, Characteristic, Estimate, Record, Response
 from hident.systems.linear import TransferFunction
 
 _DIVERGED = 1e6
 """Growth of the internal variable, relative to the first iteration's, that counts as divergence."""
-_WHOLE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +159,7 @@ def iterate(update: Callable[[Array], tuple[Array, Array]], theta: Array, x: Arr
     return Iterations(np.array(found), False)
 
 
-class VorosSpec(IteratingSpec):
+class VorosSpec(EstimatorSpec):
     """Base of Voros's methods: their fields, the decimation of the record, and their report.
 
     The first samples of each experiment, as many as the largest lag, serve as past samples only.
@@ -180,6 +181,8 @@ class VorosSpec(IteratingSpec):
     """Converged when no parameter changes by more, relative to the largest."""
     max_iterations: Annotated[Count, Field(ge=1)] = 200
     """Most iterations."""
+    unconverged: Unconverged = "fail"
+    """Whether an iteration that has not converged by then counts as failed, or is kept as it is."""
 
     def identify(self, u: Array, y: Array, parts: Parts) -> Iterations:
         """The iterations for a decimated record of these experiments, theta = (a, b, f, g)."""
@@ -233,11 +236,12 @@ class VorosSpec(IteratingSpec):
         """The samples of the record in a step."""
         if self.step is None:
             return 1
-        ratio = round(self.step / dt)
-        if ratio < 1 or abs(self.step / dt - ratio) > _WHOLE * ratio:
+        ratio = nearest_whole(self.step / dt)
+        if ratio is None:
+            near = max(round(self.step / dt), 1) * dt
             raise ValueError(
                 f"'step' must be a multiple of the sampling interval {dt:g}, not {self.step:g}: "
-                f"{max(ratio, 1) * dt:g} is the nearest"
+                f"{near:g} is the nearest"
             )
         return ratio
 
@@ -257,7 +261,7 @@ class VorosSpec(IteratingSpec):
                 + (f", and {first} more for each further experiment" if len(parts) > 1 else "")
             )
         found = self.identify(u, y, parts)
-        self.require_converged(converged=found.converged, iterations=found.count)
+        settle(found.converged, found.count, self.unconverged)
         return self._estimate(found, ratio * dt)
 
     def _estimate(self, found: Iterations, step: float) -> Estimate:
@@ -288,10 +292,9 @@ def at_step(simulate: Characteristic, step: float) -> Response:
     """
 
     def response(u: Array, dt: float) -> Array:
-        finer, coarser = round(dt / step), round(step / dt)
-        if abs(dt - finer * step) <= _WHOLE * dt:
+        if finer := nearest_whole(dt / step):
             return simulate(np.repeat(u, finer))[::finer]
-        if abs(step - coarser * dt) <= _WHOLE * step:
+        if coarser := nearest_whole(step / dt):
             at: NDArray[np.intp] = np.arange(0, len(u), coarser)
             return np.interp(np.arange(len(u)), at, simulate(u[at]))
         raise ValueError(

@@ -9,7 +9,7 @@ preference, the simplest first.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 TIE = 1e-9
 """Two values this close, relative to the smaller one, are one."""
@@ -17,13 +17,15 @@ ROUNDING = 1e-13
 """A value this small, relative to the terms that it was computed from, is rounding."""
 
 
-def first_least(values: ArrayLike, *, scale: float = 0.0, preferred: ArrayLike | None = None) -> int:
-    """The index of the first value that is the least up to rounding, in the flattened ``values``.
+def nearly_least(values: ArrayLike, *, factor: float = 1.0, scale: float = 0.0) -> NDArray[np.bool_]:
+    """Which values are at most ``factor`` times the least, up to rounding; the shape is that of ``values``.
 
     Parameters
     ----------
     values : array
-        The criterion of each candidate; nan and infinity are never chosen.
+        The criterion of each candidate, not negative if there is a ``factor``; nan and infinity never count.
+    factor : float
+        How far above the least a value may be; one for the least alone.
     scale : float
         The size of the terms that the values were computed from, such as the sum of the squared outputs of a
         sum of squared residuals: differences below 1e-13 of it are rounding.
@@ -34,49 +36,57 @@ def first_least(values: ArrayLike, *, scale: float = 0.0, preferred: ArrayLike |
     ------
     ValueError
         If no value is finite.
+    """
+    values = np.asarray(values, dtype=float)
+    finite = np.isfinite(values)
+    if not finite.any():
+        raise ValueError("no candidate has a finite value")
+    bound = factor * float(values[finite].min())
+    return np.asarray(finite & (values <= bound + TIE * abs(bound) + ROUNDING * scale))
+
+
+def first_least(values: ArrayLike, *, scale: float = 0.0) -> int:
+    """The index of the first value that is the least up to rounding, in the flattened ``values``.
+
+    The parameters and the error are those of :func:`nearly_least`.
 
     Examples
     --------
     >>> first_least([0.3, 0.1 + 2e-16, 0.1])
     1
     """
-    flat = np.ravel(np.asarray(values, dtype=float))
-    candidates = np.isfinite(flat)
-    if not candidates.any():
-        raise ValueError("no candidate has a finite value")
-    if preferred is not None and np.any(first := candidates & np.ravel(np.asarray(preferred, dtype=bool))):
-        candidates = first
-    least = float(flat[candidates].min())
-    near = flat <= least + TIE * abs(least) + ROUNDING * scale
-    return int(np.flatnonzero(candidates & near)[0])
+    return int(np.flatnonzero(nearly_least(values, scale=scale))[0])
 
 
-def simplest_nearly_least(errors: ArrayLike, sizes: ArrayLike, factor: float) -> int:
-    """The index of the smallest of the candidates whose error is within ``factor`` of the least.
-
-    Of several of that size the most accurate counts, and of equal ones the first.
+def simplest(values: ArrayLike, sizes: ArrayLike, *, factor: float, scale: float = 0.0) -> int:
+    """The index of the simplest candidate whose value is within ``factor`` of the least.
 
     Parameters
     ----------
-    errors : array, shape (S,)
-        The criterion of each candidate, not negative; nan and infinity are never chosen.
-    sizes : array, shape (S,)
-        How many parameters each has.
-    factor : float
-        At least 1; an error that equals the limit up to rounding is within it.
-
-    Raises
-    ------
-    ValueError
-        If no error is finite.
+    values : array, shape (C,)
+        The criterion of each candidate, as for :func:`nearly_least`.
+    sizes : array, shape (C,)
+        What makes a candidate simple, such as its number of parameters: the smallest is taken. Among equals
+        the least value counts, and of those that tie, the first.
+    factor, scale : float
+        As for :func:`nearly_least`.
 
     Examples
     --------
-    >>> simplest_nearly_least([2.0, 1.1, 1.0], [1, 2, 3], 1.25)
+    >>> simplest([0.9, 0.11, 0.12, 0.1], [1, 2, 2, 3], factor=1.25)
     1
     """
-    found = np.asarray(errors, dtype=float)
-    limit = factor * found[first_least(found)] * (1.0 + TIE)
-    near = np.isfinite(found) & (found <= limit)
-    smallest = near & (np.asarray(sizes) == np.min(np.asarray(sizes)[near]))
-    return first_least(np.where(smallest, found, np.nan))
+    values, sizes = np.asarray(values, dtype=float), np.asarray(sizes)
+    near = np.flatnonzero(nearly_least(values, factor=factor, scale=scale))
+    alike = near[sizes[near] == sizes[near].min()]
+    return int(alike[first_least(values[alike], scale=scale)])
+
+
+def sorting(values: NDArray[np.float64]) -> NDArray[np.intp]:
+    """An order that sorts ``values`` (N,); those that are equal keep theirs.
+
+    A sort that is not stable is faster, and its order of equal values depends on the processor.
+    """
+    order = np.argsort(values)
+    ordered = values[order]
+    return np.argsort(values, kind="stable") if np.any(ordered[1:] == ordered[:-1]) else order

@@ -15,6 +15,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from hident.config.spec import Count, Flag, Interval, Of, Real, component
 from hident.config.suggest import one_of
+from hident.numerics.whole import nearest_whole, whole_part
 from hident.records import Array, Held, Periodic
 from hident.signals.base import ExcitationSpec
 from hident.systems.linear import DiscreteSpec, LinearSpec
@@ -41,8 +42,6 @@ _TAPS: dict[int, tuple[int, ...]] = {
     19: (19, 6, 2, 1),
     20: (20, 17),
 }
-# A time this close below a switching instant, relative to the time, is at it: k*dt/hold is not exact.
-_AT_THE_SWITCH = 1e-12
 _WHOLE = 1e-9
 # A period this close to a whole number of samples, relative to it, is computed once and repeated.
 _REPEATS = 1e-12
@@ -199,8 +198,8 @@ class Sine(ExcitationSpec):
 
     def sample(self, n: int, dt: float, rng: np.random.Generator, burn_in: int = 0) -> Array:
         period = self.period_at(dt) / dt
-        samples = round(period)
-        if samples and abs(period - samples) <= _REPEATS * samples:
+        samples = nearest_whole(period, _REPEATS)
+        if samples is not None:
             once = (np.arange(min(samples, burn_in + n)) - burn_in) % samples
             return np.resize(self._at(once, dt), burn_in + n)
         return self._at(_times(n, burn_in), dt)
@@ -238,7 +237,7 @@ class Staircase(ExcitationSpec):
     def check(self, n: int, dt: float) -> None:
         last = len(self.levels) - 1
         if _hold_number(np.array([n - 1]), dt, self.hold)[0] < last:
-            needed = math.ceil(last * self.hold / dt * (1 - _AT_THE_SWITCH)) + 1
+            needed = 1 - int(whole_part(-last * self.hold / dt))
             raise ValueError(
                 f"a record of {n} samples ends before the last of {last + 1} levels "
                 f"(at least {needed} samples reach it)"
@@ -405,8 +404,7 @@ def _times(n: int, burn_in: int) -> NDArray[np.int64]:
 
 def _hold_number(times: NDArray[np.int64], dt: float, hold: float) -> NDArray[np.int64]:
     """The number j with j*hold <= times*dt < (j + 1)*hold, elementwise."""
-    ratio = times * dt / hold
-    return np.asarray(np.floor(ratio + _AT_THE_SWITCH * np.abs(ratio)), dtype=np.int64)
+    return whole_part(times * dt / hold)
 
 
 def _check_whole_periods(n: int, period: float) -> None:

@@ -11,14 +11,13 @@ from pydantic import Field, field_validator, model_validator
 
 from hident.config.spec import Count, Of, Real, Spec, component
 from hident.config.suggest import one_of
+from hident.numerics.whole import nearest_whole
 from hident.records import Array
 from hident.signals.base import ExcitationSpec, Stretch
 from hident.signals.excitation import Positive, Sine
 
 AtLeastOne = Annotated[Count, Field(ge=1)]
 Start = Literal["periodic", "equilibrium"]
-# A period this close to a whole number of samples, relative to it, is one.
-_WHOLE = 1e-9
 
 
 class _Several(ExcitationSpec):
@@ -190,8 +189,8 @@ class ExperimentPart(Spec):
         assert period is not None and self.periods is not None  # by validation
         if self.samples_per_period is not None:
             return self.periods * self.samples_per_period, period / self.samples_per_period
-        samples = round(period / step)
-        if samples < 1 or abs(period / step - samples) > _WHOLE * samples:
+        samples = nearest_whole(period / step)
+        if samples is None:
             raise ValueError(
                 f"{self.name}: the period {period:.10g} holds {period / step:.10g} samples at dt = {step:g}, "
                 "not a whole number: give samples_per_period"

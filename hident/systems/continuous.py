@@ -19,15 +19,13 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from hident.config.spec import Real, component
+from hident.numerics.whole import split
 from hident.records import Array
 from hident.systems.base import Coefficients, Numerator
 from hident.systems.linear import LinearSpec, TransferFunction
 from hident.systems.settling import settling_time
 
 Complex = NDArray[np.complex128]
-
-# A delay this close to a whole number of sampling intervals, relative to one, is at it.
-_WHOLE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -118,11 +116,10 @@ class ContinuousTransferFunction:
 
     def _steps(self, dt: float) -> tuple[Complex, Complex, Complex, int]:
         """(Phi, Gamma_0, Gamma_1, D) with z_{k+1} = Phi z_k + Gamma_0 x_{k-D} + Gamma_1 x_{k-D-1}."""
-        intervals = self.delay / dt
-        whole = math.floor(intervals + _WHOLE)
-        rest = max(intervals - whole, 0.0) * dt
+        whole, fraction = split(self.delay / dt)
+        rest = fraction * dt
         phi, gamma = self._held(dt)
-        if rest < _WHOLE * dt:
+        if rest == 0.0:
             return phi, gamma, np.zeros_like(gamma), whole
         after, recent = self._held(dt - rest)
         return phi, recent, after @ self._held(rest)[1], whole

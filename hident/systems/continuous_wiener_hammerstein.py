@@ -19,6 +19,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from hident.errors import SimulationError
+from hident.numerics.whole import nearest_whole
 from hident.records import Array, Characteristic, Held, Periodic, Waveform
 from hident.systems.continuous import Complex, ContinuousTransferFunction
 
@@ -143,8 +144,8 @@ def _steady_state(
 
 def _harmonic_sum(amplitudes: Complex, period: float, n: int, dt: float) -> Array:
     """Re sum_k amplitudes[k] exp(j k omega t), k = 0, 1, ..., at the times 0, dt, ..., shape (n,)."""
-    samples = round(period / dt)
-    if samples and abs(period / dt - samples) <= _WHOLE * samples:
+    samples = nearest_whole(period / dt, _WHOLE)
+    if samples is not None:
         # At whole fractions of the period, harmonics that differ by a multiple of their number are one.
         rows = np.append(amplitudes, np.zeros(-len(amplitudes) % samples)).reshape(-1, samples)
         return np.resize(np.fft.ifft(rows.sum(axis=0), norm="forward").real, n)

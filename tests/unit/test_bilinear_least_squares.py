@@ -170,18 +170,27 @@ def test_free_scale_is_the_same_model():
 
 def test_early_stop():
     x, _, y = noisy(8)
-    first = spec(weight="inverse_gram", start="truth", stop={"max_iterations": 1}).fit(record_of(x, y), RNG)
+    stopped = spec(weight="inverse_gram", start="truth", stop={"max_iterations": 1}, unconverged="keep")
+    first = stopped.fit(record_of(x, y), RNG)
     last = spec(weight="inverse_gram", start="truth").fit(record_of(x, y), RNG)
-    assert first.diagnostics["iterations"] == 1 < last.diagnostics["iterations"]
+    assert first.values["iterations"] == 1 < last.values["iterations"]
+    assert (first.values["converged"], last.values["converged"]) == (0.0, 1.0)
     assert first.values["loss"] > last.values["loss"]
 
 
 def test_without_convergence(monkeypatch):
     x, _, y = noisy(9)
     monkeypatch.setattr(module, "bilinear_least_squares", lambda *_, **__: module.Solution(B, A, 200, False))
-    message = r"^the nonlinear least squares problem did not converge in 200 iterations$"
+    message = r"^the iteration has not converged in 200 iterations: allow"
     with pytest.raises(EstimationError, match=message):
         spec().fit(record_of(x, y), RNG)
+
+
+def test_a_stop_before_its_tolerance_fails():
+    x, _, y = noisy(8)
+    stopped = spec(weight="inverse_gram", start="truth", stop={"max_iterations": 1})
+    with pytest.raises(EstimationError, match=r"^the iteration has not converged in 1 iteration: allow"):
+        stopped.fit(record_of(x, y), RNG)
 
 
 def test_estimate_holds_what_it_says():

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hident.numerics.choices import first_least, simplest_nearly_least
+from hident.numerics.choices import first_least, simplest
 
 
 def test_the_first_of_values_that_are_equal_up_to_rounding_is_chosen():
@@ -33,17 +33,12 @@ def test_a_grid_is_searched_in_its_written_order():
     assert first_least([[2.0, 1.0], [1.0, 3.0]]) == 1
 
 
-def test_preferred_candidates_count_before_all_others():
-    assert first_least([1.0, 2.0, 3.0], preferred=[False, False, True]) == 2
-    assert first_least([1.0, 2.0, math.nan], preferred=[False, False, True]) == 0
-
-
 @pytest.mark.parametrize("bit", [-1, 0, 1])
 def test_an_error_at_the_limit_is_nearly_the_least_whatever_its_last_bit(bit):
     at_limit = 1.25 if bit == 0 else np.nextafter(1.25, 10.0 * bit)
-    assert simplest_nearly_least([at_limit, 1.0], [1, 2], 1.25) == 0
-    assert simplest_nearly_least([1.2501, 1.0], [1, 2], 1.25) == 1
+    assert simplest([at_limit, 1.0], [1, 2], factor=1.25) == 0
+    assert simplest([1.2501, 1.0], [1, 2], factor=1.25) == 1
 
 
 def test_of_one_size_the_most_accurate_is_chosen_and_of_equal_ones_the_first():
-    assert simplest_nearly_least([1.0, 1.2, 1.1, 1.1 - 2e-16, math.inf], [3, 2, 2, 2, 1], 1.25) == 2
+    assert simplest([1.0, 1.2, 1.1, 1.1 - 2e-16, math.inf], [3, 2, 2, 2, 1], factor=1.25) == 2

@@ -171,6 +171,10 @@ class TestRecovery:
         assert stopped.details["history"].reason == "stopped after 2 iterations"
         assert (stopped.values["iterations"], stopped.values["converged"]) == (2.0, 0.0)
 
+    def test_an_iteration_that_has_not_converged_fails(self):
+        with pytest.raises(EstimationError, match=r"^the iteration has not converged in 2 iterations: allow"):
+            fitted(record(**FINE), max_iterations=2)
+
     def test_gives_what_it_provides(self):
         for fields in (
             {},

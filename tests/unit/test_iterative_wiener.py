@@ -113,6 +113,8 @@ class TestTheHistory:
         found = fit(max_iterations=3, unconverged="keep")
         assert found.values["converged"] == 0.0
         assert found.details["history"].reason.endswith("stopped after 3 iterations")
+        with pytest.raises(EstimationError, match=r"^the iteration has not converged in 3 iterations: allow"):
+            fit(max_iterations=3)
 
     @settings(deadline=None, derandomize=True, max_examples=8)
     @given(time=st.floats(0.01, 100.0), output=st.floats(0.01, 100.0), source=st.floats(0.01, 100.0))

@@ -187,7 +187,7 @@ def _first_enough(variances: Array, factor: Array | int, threshold: Array | floa
 
 
 def fpe(variances: Array, samples: int) -> int:
-    """The order with the least final prediction error V_p (N + p)/(N - p)."""
+    """The order with the least final prediction error V_p (N + p)/(N - p), the lowest if several tie."""
     p = np.arange(len(variances))
     return first_least(variances * (samples + p) / (samples - p))
 

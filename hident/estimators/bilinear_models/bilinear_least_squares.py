@@ -12,9 +12,9 @@ import numpy as np
 from pydantic import Field
 
 from hident.config.spec import Count, Flag, Real, Spec, component
-from hident.errors import EstimationError
 from hident.estimators.bilinear_models.bilinear import Regression, loss, normalised
 from hident.estimators.bilinear_models.two_stage import Weighted, WeightedBilinearSpec, two_stage
+from hident.estimators.convergence import Unconverged, settle
 from hident.records import Array, Estimate, Record
 
 _HALVINGS = 40
@@ -139,9 +139,14 @@ class BilinearLeastSquares(WeightedBilinearSpec):
     start: Literal["two_stage", "truth"] = "two_stage"
     """Where the iterations start."""
     stop: Stop | None = None
-    """Stop early; if left out, the iterations must converge."""
+    """Stop early, by another tolerance than that of a minimum found to 12 digits."""
+    unconverged: Unconverged = "fail"
+    """Whether iterations that have not converged by then count as failed, or are kept as they are."""
     normalise: Flag = True
     """Keep b at length one; false leaves the common factor of b and 1/a where the iterations drift."""
+
+    def provides(self) -> frozenset[str]:
+        return super().provides() | {"value iterations", "value converged"}
 
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset({"nonlinearity", "linear"} if self.start == "truth" else ())
@@ -152,28 +157,15 @@ class BilinearLeastSquares(WeightedBilinearSpec):
         regression = weighted.regression
         first = two_stage(regression, y)
         b, a = (first.b, first.a) if self.start == "two_stage" else self.true_parameters(record)
-        if self.stop is None:
-            found = bilinear_least_squares(regression, y, b, a, normalise=self.normalise)
-            if not found.converged:
-                raise EstimationError(
-                    f"the nonlinear least squares problem did not converge in {found.iterations} iterations"
-                )
-        else:
-            found = bilinear_least_squares(
-                regression,
-                y,
-                b,
-                a,
-                tolerance=self.stop.tolerance,
-                max_iterations=self.stop.max_iterations,
-                normalise=self.normalise,
-            )
+        stop = {} if self.stop is None else self.stop.model_dump()
+        found = bilinear_least_squares(regression, y, b, a, normalise=self.normalise, **stop)
+        settle(found.converged, found.iterations, self.unconverged)
         return self.estimate(
             weighted,
             y,
             (found.b, found.a),
             self._standard_errors(weighted, y, found),
-            {"iterations": float(found.iterations)},
+            values={"iterations": float(found.iterations), "converged": float(found.converged)},
         )
 
     def _standard_errors(self, weighted: Weighted, y: Array, found: Solution) -> tuple[Array, Array]:

@@ -166,7 +166,7 @@ def inner_solution(
         guess = first.b, first.a
     found = bilinear_least_squares(regression, y, *guess)
     if not found.converged:
-        raise EstimationError(f"the inner problem did not converge in {found.iterations} iterations")
+        raise EstimationError(f"the inner problem has not converged in {found.iterations} iterations")
     b, a = found.b, found.a
     rest = y - X @ np.outer(a, b).ravel()
     residuals = without_start(rest)
@@ -223,7 +223,7 @@ def separable_least_squares(
     """
     current = inner_solution(start(phi, y, p, parts), phi, y, n, parts=parts)
     rounding = 1e-14 * float(y @ y)
-    for iteration in range(max_iterations):
+    for made in range(1, max_iterations + 1):
         rest = np.linalg.qr(current.derivative[:, p:]).Q
         outer = current.derivative[:, :p]
         outer = outer - rest @ (rest.T @ outer)
@@ -241,8 +241,8 @@ def separable_least_squares(
             break
         current = new
         if small:
-            return current, iteration + 1
-    raise EstimationError("the feedback coefficients did not converge")
+            return current, made
+    raise EstimationError(f"the feedback coefficients have not converged in {made} iterations")
 
 
 @component("estimator", "separable_least_squares", source="Wang, Zhang, Ljung 2009, section 2")
@@ -264,7 +264,7 @@ class SeparableLeastSquares(BilinearSpec):
 
     def provides(self) -> frozenset[str]:
         values = {f"value {prefix}{name}" for name in self._parameters() for prefix in ("", "se_")}
-        return frozenset(values | {"value loss", "linear", "nonlinearity"})
+        return frozenset(values | {"value loss", "value iterations", "linear", "nonlinearity"})
 
     def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
         phi, y, parts = self.data(record)
@@ -280,8 +280,7 @@ class SeparableLeastSquares(BilinearSpec):
             linear=TransferFunction(b=self.linear(found.b).b, a=tuple(found.f.tolist())),
             values=values
             | {f"se_{name}": error for name, error in zip(names, errors, strict=True)}
-            | {"loss": found.loss},
-            diagnostics={"iterations": float(iterations)},
+            | {"loss": found.loss, "iterations": float(iterations)},
         )
 
     def _standard_errors(self, found: Inner) -> Array:

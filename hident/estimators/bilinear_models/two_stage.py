@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -24,6 +25,7 @@ from hident.estimators.bilinear_models.bilinear import (
     normalised,
 )
 from hident.estimators.bilinear_models.known_basis import BilinearSpec, LaggedSpec
+from hident.numerics.choices import ROUNDING
 from hident.numerics.parts import Parts
 from hident.records import Array, Estimate, Record
 from hident.systems.linear import TransferFunction
@@ -108,6 +110,9 @@ def estimate_noise(
     weighted = regression
     for _ in range(noise.iterations):
         residuals = regression.residuals(y, weighted.theta(y))
+        if np.linalg.norm(residuals) <= ROUNDING * np.linalg.norm(y):
+            # Rounding has no model that another processor would find again.
+            residuals = np.zeros_like(residuals)
         model = noise.model(residuals, regression.phi.shape[1], parts)
         weighted = Regression.of(regression.phi, regression.n, partial(model.whiten, parts=parts))
     return weighted, model
@@ -211,16 +216,25 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
         y: Array,
         parameters: tuple[Array, Array],
         errors: tuple[Array, Array],
-        diagnostics: Mapping[str, float],
+        *,
+        values: Mapping[str, float] = MappingProxyType({}),
+        diagnostics: Mapping[str, float] = MappingProxyType({}),
     ) -> Estimate:
-        """The estimate of b (n,) and a (m,), with standard ``errors``, from the outputs ``y`` (rows,)."""
+        """The estimate of b (n,) and a (m,), with standard ``errors``, from the outputs ``y`` (rows,).
+
+        ``values`` and ``diagnostics`` are what the method adds to those of all.
+        """
         b, a = parameters
         regression = weighted.regression
         least = {"loss": float(loss(regression, y, b, a, regression.root))}
         return Estimate(
             nonlinearity=self.nonlinearity(a),
             linear=self.linear(b),
-            values=self.named(b, a) | self.named(*errors, prefix="se_") | least | weighted.order_value(),
+            values=self.named(b, a)
+            | self.named(*errors, prefix="se_")
+            | least
+            | weighted.order_value()
+            | values,
             diagnostics={"condition": weighted.white.condition, **diagnostics},
         )
 
@@ -237,4 +251,5 @@ class TwoStageAlgorithm(WeightedBilinearSpec):
         errors = weighted.white.standard_errors(found.b, found.a, variance)
         first, *others = found.singular_values
         ratio = others[0] / first if others else 0.0
-        return self.estimate(weighted, y, (found.b, found.a), errors, {"singular_value_ratio": float(ratio)})
+        diagnostics = {"singular_value_ratio": float(ratio)}
+        return self.estimate(weighted, y, (found.b, found.a), errors, diagnostics=diagnostics)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.numerics.whole import split
 from hident.records import Array
 
-# A delay this close to a whole number of samples is that.
-_WHOLE = 1e-9
 # Modes faster than this fraction of the sampling interval act at once.
 _FASTEST = 1e-3
 # Coefficients of the Pade approximant, by rising power.
@@ -55,9 +52,7 @@ def responses(
     tau = time_constants(a) if tau is None else tau
     tau = np.maximum(np.abs(tau.real), _FASTEST * dt) + 1j * tau.imag
     denominators = _products(-np.exp(-dt / tau))
-    whole = math.floor(delay / dt + _WHOLE)
-    rest = delay / dt - whole
-    rest = 0.0 if rest < _WHOLE else rest
+    whole, rest = split(delay / dt)
     numerators = _numerators(_products(tau)[:, 1:], b, denominators, rest, dt)
     delayed = np.concatenate((np.zeros(min(whole, len(u))), u[: max(len(u) - whole, 0)]))
     x = np.empty((len(u), len(a)))

@@ -11,6 +11,7 @@ from functools import partial
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from hident.config.spec import Count, Spec
@@ -18,7 +19,7 @@ from hident.errors import EstimationError
 from hident.estimators.moving_horizon.hammerstein_iteration import Iteration, iterate
 from hident.estimators.moving_horizon.linear_transform import StageSpec, block_of
 from hident.estimators.moving_horizon.partition import Partition, require_inside
-from hident.estimators.moving_horizon.searches import History, PartitionSearch
+from hident.estimators.moving_horizon.searches import History, PartitionSearch, best_pair
 from hident.estimators.moving_horizon.static_functions import (
     PolynomialFunction,
     ThreeSegmentFunction,
@@ -26,7 +27,6 @@ from hident.estimators.moving_horizon.static_functions import (
     three_segments,
 )
 from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
-from hident.numerics.choices import first_least
 from hident.numerics.parts import Parts
 from hident.records import Array
 from hident.systems.continuous import ContinuousTransferFunction
@@ -143,9 +143,8 @@ def first_stage(
     else:
         require_inside(nonlinearity.partition, u, "input")
         if nonlinearity.partition == "search":
-            partition = _search(
-                levels, nonlinearity, lambda functions: iterated(functions)[1], float(output[0] @ output[0])
-            )
+            scale = float(output[0] @ output[0])
+            partition = _search(levels, nonlinearity, lambda functions: iterated(functions)[1], scale)
             lower, upper = partition.best
         else:
             lower, upper = nonlinearity.partition
@@ -175,9 +174,8 @@ def _search(
 ) -> PartitionSearch:
     """The partition points that minimise (30), on a grid over the input's range and finer ones around.
 
-    Differs from the paper: pairs whose iteration converged count before those whose did not, and of pairs
-    that are equal up to rounding (of terms whose squares sum to ``scale``) the first does, the lowest lower
-    point with the lowest upper one.
+    The first of the pairs that tie counts, and pairs whose iteration has not converged only if all have not.
+    ``scale`` is the criterion of the model zero.
 
     Raises
     ------
@@ -186,8 +184,7 @@ def _search(
     """
     low, high = float(levels.min()), float(levels.max())
 
-    def evaluated(lower: Array, upper: Array) -> tuple[Array, Array]:
-        """The criterion and whether the iteration converged, for all pairs (L, U)."""
+    def evaluated(lower: Array, upper: Array) -> tuple[Array, NDArray[np.bool_]]:
         # Long records are searched in pieces, so that memory does not grow with the number of pairs.
         pieces = min(len(lower), -(-len(levels) * len(lower) * len(upper) // _AT_ONCE))
         loss, converged = [], []
@@ -198,8 +195,8 @@ def _search(
             loss.append(found.loss)
             converged.append(found.converged)
         shape = len(lower), len(upper)
-        finite = np.concatenate(loss).reshape(shape)
-        return np.where(np.isfinite(finite), finite, np.nan), np.concatenate(converged).reshape(shape)
+        every = np.concatenate(loss).reshape(shape)
+        return np.where(np.isfinite(every), every, np.nan), np.concatenate(converged).reshape(shape)
 
     inner = np.arange(1, spec.points + 1) / (spec.points + 1)
     lower, upper = low * inner, high * inner
@@ -210,7 +207,7 @@ def _search(
     for refinement in range(spec.refinements + 1):
         if not np.any(np.isfinite(loss)):
             raise EstimationError("no partition points give a regression that is not singular")
-        i, j = np.unravel_index(first_least(loss, scale=scale, preferred=converged), loss.shape)
+        i, j = np.unravel_index(best_pair(loss, converged, scale), loss.shape)
         best, least = (float(lower[i]), float(upper[j])), float(loss[i, j])
         if refinement < spec.refinements:
             finer = _FINER / 4.0**refinement

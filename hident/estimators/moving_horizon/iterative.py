@@ -12,7 +12,8 @@ from pydantic import Field, model_validator
 
 from hident.config.spec import Count, Flag, Real
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, IteratingSpec, require_finite, require_varying
+from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
+from hident.estimators.convergence import Unconverged
 from hident.estimators.moving_horizon.horizon_least_squares import scaled_condition, variance_inflation
 from hident.estimators.moving_horizon.linear_transform import LinearFit, SecondStageSpec, StageSpec
 from hident.estimators.moving_horizon.time_weighted import Horizons
@@ -117,7 +118,7 @@ class MovingHorizonSpec(EstimatorSpec):
         return record.dt
 
 
-class IterativeSpec(IteratingSpec, MovingHorizonSpec):
+class IterativeSpec(MovingHorizonSpec):
     """Base of the iterative two-stage estimators."""
 
     instead: ClassVar[Mapping[str, str]] = {
@@ -134,6 +135,8 @@ class IterativeSpec(IteratingSpec, MovingHorizonSpec):
     """The iteration ends when the parameters change by less than this, relative to their norm."""
     max_iterations: Annotated[Count, Field(ge=1)]
     """The most iterations."""
+    unconverged: Unconverged = "fail"
+    """Whether a first stage that has not converged by then counts as failed, or is kept as it is."""
 
     @model_validator(mode="after")
     def _loop_needs_a_search(self) -> Self:

@@ -12,6 +12,7 @@ from pydantic import Discriminator, Field
 
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
+from hident.estimators.convergence import settle
 from hident.estimators.moving_horizon.hammerstein_stage import (
     FirstStage,
     Polynomial,
@@ -86,7 +87,7 @@ class IterativeHammerstein(IterativeSpec):
         delay: float,
     ) -> FirstStage:
         try:
-            return first_stage(
+            found = first_stage(
                 record.u,
                 record.y,
                 dt,
@@ -100,6 +101,8 @@ class IterativeHammerstein(IterativeSpec):
             )
         except ValueError as error:
             raise EstimationError(str(error)) from None
+        settle(bool(found.iteration.converged[0]), int(found.iteration.iterations[0]), self.unconverged)
+        return found
 
     def _second(
         self, record: Record, dt: float, first: FirstStage
@@ -144,7 +147,6 @@ class IterativeHammerstein(IterativeSpec):
         search: StructureSearch | None,
     ) -> Estimate:
         iterations, converged = int(first.iteration.iterations[0]), bool(first.iteration.converged[0])
-        self.require_converged(converged=converged, iterations=iterations)
         block = first.block if second is None else second.block
         function = first.function
         values = {

@@ -13,6 +13,7 @@ from pydantic import Discriminator, Field
 
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
+from hident.estimators.convergence import settle
 from hident.estimators.moving_horizon.iterative import (
     ROUNDS,
     IterativeSpec,
@@ -72,7 +73,7 @@ class IterativeWiener(IterativeSpec):
     """Continuous-time Wiener system by the iterative two-stage algorithm.
 
     Differs from the paper: poles of an iterate in the right half plane are reflected into the left one, and
-    an iteration that ends badly starts again from the linear model's output.
+    an iteration that ends badly, or does not converge, starts again from the linear model's output.
     """
 
     nonlinearity: Annotated[FourSegmentSpec | PolynomialSpec, Discriminator("kind")]
@@ -129,6 +130,7 @@ class IterativeWiener(IterativeSpec):
         wiener = Wiener.of(record.u, record.y, dt, m=stage.m, delay=delay, horizons=horizons)
         rule = Rule(self.weight, self.tolerance, self.max_iterations)
         found = first_stage(wiener, self.nonlinearity, rule, self.start)
+        settle(found.history.converged, found.iterations, self.unconverged)
         if found.block.b[0] == 0.0:
             raise EstimationError("the first stage's linear block has no static gain: its b_0 is zero")
         return wiener, found
@@ -163,7 +165,6 @@ class IterativeWiener(IterativeSpec):
         second: LinearFit | None,
         search: StructureSearch | None,
     ) -> Estimate:
-        self.require_converged(converged=first.history.converged, iterations=first.iterations)
         block = first.block if second is None else second.block
         unit = block.scaled(1.0 / block.b[0])
         v = responses_in(record.experiments, unit, record.u, dt)

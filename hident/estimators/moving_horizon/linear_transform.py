@@ -24,7 +24,7 @@ from hident.errors import EstimationError
 from hident.estimators.moving_horizon.horizon_least_squares import solve
 from hident.estimators.moving_horizon.searches import StructureSearch
 from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
-from hident.numerics.choices import simplest_nearly_least
+from hident.numerics.choices import simplest
 from hident.numerics.parts import Parts, in_each, whole
 from hident.records import Array, Characteristic
 from hident.systems.continuous import ContinuousTransferFunction
@@ -150,13 +150,13 @@ def search_structure(
     """The block of the simplest structure (n, m, d) that is nearly the best.
 
     Among the stable candidates with n up to ``largest_n``, m < n and the given ``delays``, those whose
-    simulated output error is within ``nearly_best`` of the least are nearly the best; of these the one with
-    the fewest parameters n + m is chosen, and the most accurate among equals. The simulated output, unlike
-    the residual of the regression, compares structures on one scale whatever the order of the weight; with
-    white measurement noise its error is that noise's for every structure that holds the true one, so that
-    the quotient of two such is near one, and well above it where a mode is missing. For that the noise must
-    be that of a measurement: behind a Wiener system's block it is the ``measured`` output, not ``output``,
-    whose noise the inverse nonlinearity has stretched.
+    simulated output error is within ``nearly_best`` of the least are nearly the best; of these the one
+    with the fewest parameters n + m is chosen, the most accurate among equals, and the first among ties.
+    The simulated output, unlike the residual of the regression, compares structures on one scale whatever
+    the order of the weight; with white measurement noise its error is that noise's for every structure
+    that holds the true one, so that the quotient of two such is near one, and well above it where a mode
+    is missing. For that the noise must be that of a measurement: behind a Wiener system's block it is the
+    ``measured`` output, not ``output``, whose noise the inverse nonlinearity has stretched.
 
     Raises
     ------
@@ -192,10 +192,10 @@ def search_structure(
     error = np.array(errors)
     if not np.any(np.isfinite(error)):
         raise EstimationError(f"no structure up to n = {largest_n} gives a stable linear block{refused}")
-    chosen = simplest_nearly_least(error, [n + m for n, m, _ in candidates], nearly_best)
+    ns, ms, ds = (np.array(part) for part in zip(*candidates, strict=True))
+    chosen = simplest(error, ns + ms, factor=nearly_best, scale=1.0)
     best = fits[chosen]
     assert best is not None
-    ns, ms, ds = (np.array(part) for part in zip(*candidates, strict=True))
     return best, StructureSearch(ns, ms, ds.astype(float), error, chosen)
 
 

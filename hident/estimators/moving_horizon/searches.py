@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.numerics.choices import first_least
 from hident.records import Array
 
 
@@ -48,6 +49,21 @@ class StructureSearch:
     delay: Array
     error: Array
     chosen: int
+
+
+def best_pair(loss: Array, converged: NDArray[np.bool_], scale: float) -> int:
+    """The first pair of partition points with the least loss, as an index into the flattened ``loss``.
+
+    A pair whose iteration has not ``converged`` counts only where none has: its loss is one of a wandering
+    model. ``scale`` is the loss of the model zero.
+
+    Raises
+    ------
+    ValueError
+        If no loss is finite.
+    """
+    settled = np.where(converged, loss, np.nan)
+    return first_least(settled if np.any(np.isfinite(settled)) else loss, scale=scale)
 
 
 def found_searches(partition: PartitionSearch | None, structure: StructureSearch | None) -> dict[str, Any]:

@@ -11,7 +11,6 @@ the weighted mean over the horizon of the l-th derivative with respect to time.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -21,13 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hident.numerics.parts import Parts, whole
+from hident.numerics.whole import split, whole_part
 from hident.records import Array
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 # A number of samples this close to a whole one is that.
-_WHOLE = 1e-6
 _STENCIL = 6
 _SAMPLES_PER_HALF_WAVE = 4
 _LARGEST_KEPT = 400_000
@@ -55,10 +54,8 @@ class Knots:
         inputs = [held_input[part] for part in parts or whole(len(held_input))]
         changes = [np.flatnonzero(np.diff(one)) + 1 for one in inputs]
         hold = int(np.gcd.reduce(np.concatenate(changes), initial=0))
-        shift = delay / dt
-        if hold < _STENCIL - 1 or abs(shift - round(shift)) > _WHOLE:
-            return SMOOTH
-        return cls(hold, round(shift) % hold)
+        shift, rest = split(delay / dt)
+        return SMOOTH if hold < _STENCIL - 1 or rest else cls(hold, shift % hold)
 
     def stencils(self, cells: int) -> NDArray[np.int64]:
         """The first sample of the stencil of each cell [i, i + 1], shape (cells,)."""
@@ -127,7 +124,7 @@ class Horizons:
                 f"the start {start:g} lies after the record's end {end:g}: take an earlier start"
             )
         counts = [
-            max(math.floor(((part.stop - part.start - 1) * dt - start - eta) / (overlap * eta) + _WHOLE), 0)
+            max(int(whole_part(((part.stop - part.start - 1) * dt - start - eta) / (overlap * eta))), 0)
             for part in parts
         ]
         if not any(counts):
@@ -253,10 +250,7 @@ def _sampled(horizons: Horizons, knots: Knots) -> csr_array:
 
 
 def _held(horizons: Horizons, delay: float) -> csr_array:
-    intervals = delay / horizons.dt
-    whole = math.floor(intervals + _WHOLE)
-    rest = max(intervals - whole, 0.0)
-    rest = 0.0 if rest < _WHOLE else rest
+    whole, rest = split(delay / horizons.dt)
     edges = np.clip((np.arange(-1, horizons.length + 1) + rest) / horizons.length, 0.0, 1.0)
     alike = np.zeros(horizons.count, dtype=np.intp)
     return horizons.operator(_held_weights(edges, horizons.order)[:, None], alike, -whole - 1)

@@ -19,8 +19,9 @@ from hident.estimators.moving_horizon.batched_blocks import time_constants
 from hident.estimators.moving_horizon.four_segment import FourSegment, forward, inverse
 from hident.estimators.moving_horizon.linear_transform import block_of
 from hident.estimators.moving_horizon.partition import Partition, require_inside
-from hident.estimators.moving_horizon.searches import History, PartitionSearch
+from hident.estimators.moving_horizon.searches import History, PartitionSearch, best_pair
 from hident.estimators.moving_horizon.wiener_iteration import (
+    Flags,
     FourSegments,
     Internal,
     Iterates,
@@ -29,7 +30,6 @@ from hident.estimators.moving_horizon.wiener_iteration import (
     Wiener,
     iterate,
 )
-from hident.numerics.choices import first_least
 from hident.numerics.parts import in_each, longer_than
 from hident.records import Array, Characteristic
 from hident.systems.continuous import ContinuousTransferFunction
@@ -182,7 +182,7 @@ class _Run:
 
 
 def _run(wiener: Wiener, begin: Callable[[Array], Internal], rule: Rule) -> _Run:
-    """The iteration from x = y or, if that ends badly, from the linear model's output.
+    """The iteration from x = y or, if that ends badly or wanders, from the linear model's output.
 
     Raises
     ------
@@ -190,14 +190,24 @@ def _run(wiener: Wiener, begin: Callable[[Array], Internal], rule: Rule) -> _Run
         If both end badly.
     """
     found = iterate(wiener, begin(wiener.y), rule)
-    if trouble := _trouble(wiener, found):
-        found = iterate(wiener, begin(wiener.linear_output()), rule)
-        if again := _trouble(wiener, found):
-            raise EstimationError(
-                f"the first stage's iteration {again}, also from the linear model's output: "
-                "try longer horizons, another structure or other partition points"
-            )
-    return _Run(found.path[:, 0], found.phi[0], bool(found.converged[0]), trouble)
+    trouble = _trouble(wiener, found)
+    if found.converged[0] and not trouble:
+        return _ended(found, "")
+    again = iterate(wiener, begin(wiener.linear_output()), rule)
+    wrong = _trouble(wiener, again)
+    if wrong and trouble:
+        raise EstimationError(
+            f"the first stage's iteration {wrong}, also from the linear model's output: "
+            "try longer horizons, another structure or other partition points"
+        )
+    if wrong or not (trouble or again.converged[0]):
+        # Both wander: the first counts.
+        return _ended(found, "")
+    return _ended(again, trouble or "did not converge")
+
+
+def _ended(found: Iterates, restart: str) -> _Run:
+    return _Run(found.path[:, 0], found.phi[0], bool(found.converged[0]), restart)
 
 
 def _trouble(wiener: Wiener, found: Iterates) -> str:
@@ -220,9 +230,9 @@ def search_partition(
 
     The grid, of ``points`` of either sign, lies at Chebyshev points of the output's range on either side of
     zero, dense towards zero and the ends. A refinement tries the neighbours of the best pair at half the
-    distance. Pairs that end in an unstable block or a slope e_i that is not positive are rejected. If all
-    are, the search starts again on a grid twice as fine, its iterations from the linear model's output. Pairs
-    whose iteration converged count before those whose did not, and of equal ones the first.
+    distance. Pairs that end in an unstable block or a slope e_i that is not positive are rejected. If no
+    other pair converges, the search starts again on a grid twice as fine, its iterations from the linear
+    model's output. Of pairs that tie the first counts; pairs that have not converged count if no pair has.
 
     Raises
     ------
@@ -231,28 +241,32 @@ def search_partition(
     """
     ends = np.array([wiener.y.min(), wiener.y.max()])
     require_inside("search", wiener.y, "output")
-    rule = replace(rule, patience=_PATIENCE)
+    rule, scale = replace(rule, patience=_PATIENCE), wiener.dt * float(wiener.y @ wiener.y)
+    wandering = None
     for count, x in ((points, wiener.y), (2 * points, wiener.linear_output())):
-        step = 0.5 * np.pi / (count + 1)
-        grid = step * np.arange(1, count + 1)
-        angles = _pairs(grid[::-1], grid)
-        tried = _losses(wiener, rule, start, _points(ends, angles), x)
-        if np.any(np.isfinite(tried[0])):
+        grid = 0.5 * np.pi * np.arange(1, count + 1) / (count + 1)
+        tried = _tried(wiener, rule, start, ends, _pairs(grid[::-1], grid), x)
+        if np.any(tried.converged):
             break
+        if wandering is None and np.any(np.isfinite(tried.loss)):
+            wandering = count, x, grid, tried
     else:
-        raise EstimationError("no pair of partition points gives a stable linear block and rising segments")
-    first, scale = tried[0], wiener.dt * float(wiener.y @ wiener.y)
+        if wandering is None:
+            raise EstimationError(
+                "no pair of partition points gives a stable linear block and rising segments"
+            )
+        count, x, grid, tried = wandering
+    first, step = tried.loss, 0.5 * np.pi / (count + 1)
     for _ in range(refinements):
         step /= 2.0
-        best = first_least(tried[0], scale=scale, preferred=tried[1])
-        near = _pairs(*(angles[:, best, None] + step * np.arange(-1.0, 2.0)))
+        centre = tried.angles[:, best_pair(tried.loss, tried.converged, scale), None]
+        near = _pairs(*(centre + step * np.arange(-1.0, 2.0)))
         near = near[:, np.all((near > 0.0) & (near < 0.5 * np.pi), axis=0)]
-        tried = np.hstack((tried, _losses(wiener, rule, start, _points(ends, near), x)))
-        angles = np.hstack((angles, near))
-    best = first_least(tried[0], scale=scale, preferred=tried[1])
+        tried = tried.joined(_tried(wiener, rule, start, ends, near, x))
+    best = best_pair(tried.loss, tried.converged, scale)
     lower, upper = _points(ends, np.array([grid[::-1], grid]))
-    below, above = _points(ends, angles[:, best]).tolist()
-    return PartitionSearch(lower, upper, first.reshape(count, count), (below, above), float(tried[0, best]))
+    below, above = _points(ends, tried.angles[:, best]).tolist()
+    return PartitionSearch(lower, upper, first.reshape(count, count), (below, above), float(tried.loss[best]))
 
 
 def _pairs(lower: ArrayLike, upper: ArrayLike) -> Array:
@@ -265,17 +279,36 @@ def _points(ends: Array, angles: Array) -> Array:
     return np.asarray((ends * np.sin(angles.T) ** 2).T)
 
 
-def _losses(wiener: Wiener, rule: Rule, start: float, points: Array, x: Array) -> Array:
-    """The criterion (31) of each pair of ``points`` (2, J), and whether its iteration converged; (2, J).
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """Pairs of partition points at the ``angles`` (2, J).
 
-    The criterion is nan where the pair is rejected.
+    ``loss`` (J,) is the criterion (31), nan where the pair was rejected; ``converged`` (J,) holds of the
+    others whose iteration did.
     """
+
+    angles: Array
+    loss: Array
+    converged: Flags
+
+    def joined(self, other: _Tried) -> _Tried:
+        """These pairs, then the others."""
+        return _Tried(
+            np.hstack((self.angles, other.angles)),
+            np.append(self.loss, other.loss),
+            np.append(self.converged, other.converged),
+        )
+
+
+def _tried(wiener: Wiener, rule: Rule, start: float, ends: Array, angles: Array, x: Array) -> _Tried:
     at_once = max(1, _AT_ONCE // len(x))
-    parts = [points[:, i : i + at_once] for i in range(0, points.shape[1], at_once)]
-    return np.hstack([_some_losses(wiener, rule, start, part, x) for part in parts])
+    pieces = [angles[:, i : i + at_once] for i in range(0, angles.shape[1], at_once)]
+    found = [_some_losses(wiener, rule, start, _points(ends, piece), x) for piece in pieces]
+    loss, converged = (np.concatenate(part) for part in zip(*found, strict=True))
+    return _Tried(angles, loss, converged)
 
 
-def _some_losses(wiener: Wiener, rule: Rule, start: float, points: Array, x: Array) -> Array:
+def _some_losses(wiener: Wiener, rule: Rule, start: float, points: Array, x: Array) -> tuple[Array, Flags]:
     found = iterate(wiener, FourSegments.of_points(wiener, points, x), rule)
     sound = found.admissible
     theta = found.theta[sound]
@@ -286,4 +319,4 @@ def _some_losses(wiener: Wiener, rule: Rule, start: float, points: Array, x: Arr
     output = forward(x, e.T, *points[:, sound])
     losses = np.full(len(sound), np.nan)
     losses[sound] = wiener.dt * np.sum((y[:, None] - output) ** 2, axis=0)
-    return np.array([losses, found.converged])
+    return losses, found.converged & np.isfinite(losses)

@@ -21,6 +21,7 @@ from hident.estimators.nonparametric.kernel_sums import (
     WindowSums,
 )
 from hident.estimators.nonparametric.prefilter import NonparametricSpec
+from hident.numerics.choices import sorting
 from hident.records import Array, Characteristic, Record
 
 Kernel = Literal["window_half", "window_unit", "triangular", "epanechnikov", "gaussian"]
@@ -53,7 +54,7 @@ class KernelRegression:
     ) -> None:
         require_finite(y)
         if order is None:
-            order = np.argsort(u)
+            order = sorting(u)
         self._u, y = u[order], y[order]
         self._y_sums = PrefixSums(y)
         self._bandwidth = bandwidth

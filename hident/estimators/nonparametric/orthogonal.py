@@ -22,6 +22,7 @@ from hident.errors import EstimationError
 from hident.estimators.base import require_finite
 from hident.estimators.nonparametric.bases import BasisSpec
 from hident.estimators.nonparametric.prefilter import NonparametricSpec
+from hident.numerics.whole import whole_part
 from hident.records import Array, Characteristic, Record
 
 Density = Callable[[Array], Array]
@@ -120,7 +121,7 @@ class Terms(Spec):
     def level(self, n: int) -> int:
         """q(N) for ``n`` samples."""
         # An exact power such as 243^(1/5) = 3 must not round down for its last bit.
-        return math.floor(self.q0 * math.pow(n, self.alpha) * (1.0 + 1e-12))
+        return int(whole_part(self.q0 * math.pow(n, self.alpha)))
 
 
 class UniformDensity(Spec):

@@ -1,0 +1,29 @@
+"""What becomes of an iteration that ends without converging: one rule for all iterative estimators."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from hident.errors import EstimationError
+
+Unconverged = Literal["fail", "keep"]
+"""Whether such an estimate counts as failed, or the last iterate is kept."""
+
+
+def settle(converged: bool, iterations: int, unconverged: Unconverged) -> None:
+    """Let an iteration that has ended pass if it has converged, or is kept all the same.
+
+    An iteration that wanders without end multiplies a last bit until nothing of it is left, and a mean over
+    such values is one of chaos.
+
+    Raises
+    ------
+    EstimationError
+        If it has not converged and counts as failed.
+    """
+    if not converged and unconverged == "fail":
+        plural = "s" * (iterations != 1)
+        raise EstimationError(
+            f"the iteration has not converged in {iterations} iteration{plural}: allow more with "
+            "'max_iterations', or keep the last iterate with 'unconverged: keep'"
+        )
