@@ -2,12 +2,14 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+# Of each configuration, for `make arithmetics`.
+TRIALS ?= 20
 CONFIGS := $(sort $(wildcard configs/*.yaml))
 
 # Hundreds of processes start: without cached bytecode each takes a third longer.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup reproduce-all test lint format bench lock schema clean
+.PHONY: help setup reproduce-all test lint format arithmetics bench lock schema clean
 .DEFAULT_GOAL := help
 
 help: ## Show the targets
@@ -42,6 +44,9 @@ lint: $(VENV)/ready ## Check formatting, style and types
 format: $(VENV)/ready ## Format the code
 	@$(BIN)/ruff format .
 	@$(BIN)/ruff check --fix .
+
+arithmetics: $(VENV)/ready ## Run every configuration with other kernels, and write the table in docs/
+	@$(BIN)/python -m tests.arithmetics --trials $(TRIALS)
 
 bench: $(VENV)/ready ## Measure speed and memory, and print ratios
 	@$(BIN)/python -m tests.benchmarks
