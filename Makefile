@@ -34,7 +34,9 @@ reproduce-all: $(VENV)/ready ## Run every configuration, compare with results/, 
 	@$(BIN)/hident compare out results --complete
 
 test: $(VENV)/ready ## Run the tests
-	@$(BIN)/python -m pytest -n auto --dist worksteal
+	@workers=$$($(BIN)/python -c 'from hident.engine.cores import usable_cores; print(usable_cores())') && \
+	  echo "testing all that is under tests/, on as many workers as cores are usable: $$workers" && \
+	  $(BIN)/python -m pytest -n "$$workers" --dist worksteal
 
 lint: $(VENV)/ready ## Check formatting, style and types
 	@$(BIN)/ruff format --check .

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 
 from hident.engine.runner import Progress, Silent
 
@@ -24,22 +25,23 @@ def _stored(stored: int, total: int) -> str:
 
 
 class Lines:
-    """One line at the start, one every ten seconds, one at the end."""
+    """One line at the start, one every ten seconds of the clock, one at the end."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._name = name
+        self._clock = clock
 
     def _say(self, text: str) -> None:
         print(f"{self._name}: {text}", file=sys.stderr, flush=True)
 
     def start(self, total: int, stored: int) -> None:
         self._total, self._done, self._stored = total, stored, stored
-        self._start = self._last = time.monotonic()
+        self._start = self._last = self._clock()
         self._say(_stored(stored, total))
 
     def advance(self, trials: int) -> None:
         self._done += trials
-        now = time.monotonic()
+        now = self._clock()
         if self._stored < self._done < self._total and now - self._last >= _EVERY_SECONDS:
             self._last = now
             rate = (self._done - self._stored) / (now - self._start)
@@ -51,18 +53,19 @@ class Lines:
 
     def finish(self) -> None:
         if self._done > self._stored:
-            seconds = time.monotonic() - self._start
+            seconds = self._clock() - self._start
             self._say(f"{self._done}/{self._total} trials done, {seconds:.1f} s")
 
 
 class Bar:
     """A bar with the rate and the remaining time."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, clock: Callable[[], float] = time.monotonic) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
         self._name = name
+        self._clock = clock
         self._console = Console(stderr=True)
         self._bar = Progress(
             TextColumn("{task.description}"),
@@ -71,20 +74,21 @@ class Bar:
             TextColumn("{task.fields[rate]}"),
             TimeRemainingColumn(),
             console=self._console,
+            get_time=clock,
         )
 
     def start(self, total: int, stored: int) -> None:
         self._console.print(f"{self._name}: {_stored(stored, total)}", highlight=False)
         self._stored = stored
         self._task = self._bar.add_task(self._name, total=total, completed=stored, rate="")
-        self._began = time.monotonic()
+        self._began = self._clock()
         if stored < total:
             self._bar.start()
 
     def advance(self, trials: int) -> None:
         self._bar.advance(self._task, trials)
         done = self._bar.tasks[0].completed - self._stored
-        rate = done / max(time.monotonic() - self._began, 1e-9)
+        rate = done / max(self._clock() - self._began, 1e-9)
         self._bar.update(self._task, rate=f"{rate:.0f} trials/s")
 
     def stopping(self) -> None:

@@ -18,9 +18,15 @@ from typing import Any
 
 import pytest
 import yaml
+from hypothesis import settings
 
 # It decides which kernels numpy and BLAS use, so it comes before them.
 import hident  # noqa: F401
+from tests.forked import GUARD_SECONDS, run_forked
+
+# The same examples everywhere, however slow the machine.
+settings.register_profile("suite", deadline=None, derandomize=True, database=None)
+settings.load_profile("suite")
 
 TINY: dict[str, Any] = {
     "version": 1,
@@ -88,6 +94,7 @@ BODY
 '''
 
 
+_PROGRAM = [sys.executable, "-m", "hident"]
 _TRACEBACK = "Traceback (most recent call last)"
 
 
@@ -115,38 +122,49 @@ class Lab:
             tables={},
         )
 
-    def _command(self, arguments: tuple[str, ...]) -> list[str]:
+    def _arguments(self, arguments: tuple[str, ...]) -> list[str]:
         plugin = ["--plugin", "probe.py"] if (self.folder / "probe.py").exists() else []
         takes = arguments[:1] and arguments[0] in ("run", "status", "export", "validate", "accept")
-        return [sys.executable, "-m", "hident", *arguments, *(plugin if takes else [])]
+        return [*arguments, *(plugin if takes else [])]
 
     def hident(
-        self, *arguments: str, code: int | None = 0, **options: Any
+        self, *arguments: str, code: int | None = 0, fresh: bool = False, **options: Any
     ) -> subprocess.CompletedProcess[str]:
-        """Run the program to its end, and check its exit code and that it shows no traceback."""
-        done = subprocess.run(
-            self._command(arguments),
-            cwd=self.folder,
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-            **options,
-        )
+        """Run the program to its end, and check its exit code and that it shows no traceback.
+
+        Python is started anew only where the start is the matter: with ``fresh``.
+        """
+        if fresh or not hasattr(os, "fork"):
+            done = subprocess.run(
+                [*_PROGRAM, *self._arguments(arguments)],
+                cwd=self.folder,
+                capture_output=True,
+                text=True,
+                timeout=GUARD_SECONDS,
+                check=False,
+                **options,
+            )
+        else:
+            done = run_forked(self._arguments(arguments), self.folder, **options)
         assert code is None or done.returncode == code, (done.returncode, done.stdout, done.stderr)
         assert _TRACEBACK not in done.stdout + done.stderr
         return done
 
     def run(self, *arguments: str, code: int = 0, **options: Any) -> str:
-        """``hident run tiny.yaml``, with one worker unless told otherwise; returns standard error."""
+        """``hident run tiny.yaml``, with one worker unless told otherwise; returns standard error.
+
+        Workers belong to a process that is started anew.
+        """
+        workers = "--jobs" in arguments and "1" not in arguments
         jobs = () if "--jobs" in arguments else ("--jobs", "1")
-        return self.hident("run", "tiny.yaml", *jobs, *arguments, code=code, **options).stderr
+        fresh = options.pop("fresh", workers)
+        return self.hident("run", "tiny.yaml", *jobs, *arguments, code=code, fresh=fresh, **options).stderr
 
     def start(self, *arguments: str, log: str = "log.txt") -> subprocess.Popen[bytes]:
         """Start the program in a process group of its own, as a terminal does; it writes to a log."""
         with (self.folder / log).open("wb") as file:
             process = subprocess.Popen(
-                self._command(arguments),
+                [*_PROGRAM, *self._arguments(arguments)],
                 cwd=self.folder,
                 stdout=file,
                 stderr=file,
@@ -181,16 +199,16 @@ class Lab:
         for name in (".hident", "out"):
             shutil.rmtree(self.folder / name, ignore_errors=True)
 
-    def await_(self, condition: Callable[[], object], seconds: float = 30.0) -> None:
+    def await_(self, condition: Callable[[], object]) -> None:
         """Wait until a condition holds."""
-        end = time.monotonic() + seconds
+        end = time.monotonic() + GUARD_SECONDS
         while not condition():
             assert time.monotonic() < end, "waited in vain; the log says: " + self.log
             time.sleep(0.01)
 
     def await_alone(self) -> None:
         """Wait until no process works in the folder any more."""
-        self.await_(lambda: not self._processes(), 10.0)
+        self.await_(lambda: not self._processes())
 
     def _processes(self) -> list[int]:
         found = []

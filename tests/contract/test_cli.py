@@ -8,6 +8,7 @@ import pty
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from tests.conftest import Lab
 
 plugins.load()
+_BEGAN = time.monotonic()
 _VERBS = ("list", "validate", "run", "status", "compare", "accept", "verify", "schema", "export", "doctor")
 _PUBLISHED = {
     "paper_trials": "unknown",
@@ -175,7 +177,7 @@ def test_what_a_run_writes(done: Lab) -> None:
         "platform",
     } <= provenance.keys()
     assert provenance["workers"] == 1
-    assert 0 < provenance["wall_seconds"] < 60
+    assert 0 < provenance["wall_seconds"] < time.monotonic() - _BEGAN
     # Outside of a repository there is no commit to name.
     assert provenance["git_commit"] is None
 
@@ -301,17 +303,14 @@ def test_a_terminal_has_a_bar(done: Lab) -> None:
         except OSError:
             break
     os.close(mine)
-    assert process.wait(30) == 0
+    assert process.wait() == 0
     for text in (b"tiny: 24 trials", b"24/24", b"trials/s", b"tiny: wrote out/tiny"):
         assert text in shown
 
 
-def test_lines_in_a_log_have_the_rate_and_the_time_left(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_lines_in_a_log_have_the_rate_and_the_time_left(capsys: pytest.CaptureFixture[str]) -> None:
     now = 0.0
-    monkeypatch.setattr("time.monotonic", lambda: now)
-    lines = Lines("tiny")
+    lines = Lines("tiny", clock=lambda: now)
     lines.start(100, 20)
     now = 11.0
     lines.advance(0)  # all of a chunk crashed

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import random
 import signal
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -51,7 +49,7 @@ def test_first_interrupt_of_a_pool_keeps_what_is_in_flight(held: Lab, uninterrup
     held.await_(lambda: "stopping when the trials in flight are stored" in held.log)
     assert process.poll() is None
     (held.folder / "hold").unlink()
-    assert process.wait(30) == 130
+    assert process.wait() == 130
     assert _RESUMES in held.log
     assert "Traceback" not in held.log
     held.await_alone()
@@ -69,7 +67,7 @@ def test_second_interrupt_of_a_pool_stops_at_once(held: Lab) -> None:
     os.killpg(process.pid, signal.SIGINT)
     held.await_(lambda: "Ctrl-C again stops at once" in held.log)
     os.killpg(process.pid, signal.SIGINT)
-    assert process.wait(10) == 130
+    assert process.wait() == 130
     assert _RESUMES in held.log
     assert "Traceback" not in held.log
     held.await_alone()
@@ -81,7 +79,7 @@ def test_interrupt_while_workers_start(held: Lab) -> None:
     held.await_(lambda: "24 trials" in held.log)
     os.killpg(process.pid, signal.SIGINT)
     (held.folder / "hold").unlink()
-    assert process.wait(30) == 130
+    assert process.wait() == 130
     assert _RESUMES in held.log
     assert "Traceback" not in held.log
     held.await_alone()
@@ -91,7 +89,7 @@ def test_interrupt_of_a_serial_run(held: Lab, uninterrupted: bytes) -> None:
     process = held.start("run", "tiny.yaml", "--jobs", "1")
     held.await_((held.folder / "reached").exists)
     os.killpg(process.pid, signal.SIGINT)
-    assert process.wait(10) == 130
+    assert process.wait() == 130
     assert _RESUMES in held.log
     assert "Traceback" not in held.log
     assert {case for _, case, _ in held.trials()} == {"{'samples': 50}"}
@@ -109,6 +107,8 @@ def test_interrupt_while_outputs_are_written_leaves_the_old_ones(lab: Lab) -> No
     plugin.write_text(
         plugin.read_text()
         + """
+import signal
+
 from hident.reports.base import FigureSpec
 
 
@@ -116,25 +116,31 @@ from hident.reports.base import FigureSpec
 class Slow(FigureSpec):
     def draw(self, results, verdicts):
         Path("drawing").touch()
-        time.sleep(60)
+        signal.pause()
 """
     )
     lab.configure(figures={"slow": "slow"}, title="Another")
     process = lab.start("run", "tiny.yaml", "--jobs", "1")
     lab.await_((lab.folder / "drawing").exists)
     os.killpg(process.pid, signal.SIGINT)
-    assert process.wait(10) == 130
+    assert process.wait() == 130
     assert "Traceback" not in lab.log
     assert {path.name: path.read_bytes() for path in (lab.folder / "out/tiny").iterdir()} == before
 
 
 def test_kills_at_any_moment_lose_nothing(lab: Lab, uninterrupted: bytes) -> None:
-    lab.probe("time.sleep(0.04)")
-    moments = random.Random(5)
-    for jobs in ("2", "1", "2"):
+    lab.probe("""
+        with open("fits", "ab") as file:
+            file.write(b".")
+    """)
+    fits = lab.folder / "fits"
+    for jobs, moment in (("2", 0), ("1", 2), ("2", 4)):
+        fits.write_bytes(b"")
         process = lab.start("run", "tiny.yaml", "--jobs", jobs)
         lab.await_(lambda: "24 trials" in lab.log)
-        time.sleep(moments.uniform(0.0, 0.8))
+        # With few enough left, it ends of itself before.
+        ended, wanted = process.poll, moment
+        lab.await_(lambda: fits.stat().st_size >= wanted or ended() is not None)  # noqa: B023
         process.kill()
         process.wait()
         lab.await_alone()

@@ -66,6 +66,6 @@ def test_a_run_writes_the_same_bytes_under_any_settings(lab: Lab) -> None:
         "MPLBACKEND": "module://matplotlib_inline.backend_inline",
         "MPLCONFIGDIR": str(lab.folder / "taken"),
     }
-    lab.run("-q", "--out", "strange", env=environment)
+    lab.run("-q", "--out", "strange", env=environment, fresh=True)
     plain, strange = ((lab.folder / out / "tiny/curve.png").read_bytes() for out in ("plain", "strange"))
     assert plain == strange

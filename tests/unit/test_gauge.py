@@ -328,3 +328,8 @@ def test_the_ambiguity_is_explained_in_three_lines():
     assert "a delay moves freely" in AMBIGUITY
     for gauge in ("delay_free", "minimum_phase", "rational", "known_phase"):
         assert gauge in AMBIGUITY
+
+
+def test_a_rational_gauge_must_be_proper():
+    with pytest.raises(ValidationError, match=r"must be \[m, n\] with m <= n, not \[3, 2\]"):
+        Rational.model_validate({"kind": "rational", "input": [3, 2], "output": [0, 2]})

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from hident.errors import EstimationError
 from hident.estimators.moving_horizon.iterative import padded, second_horizon
 from hident.estimators.moving_horizon.linear_model import LinearModel
+from hident.records import Record
 from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.nonlinearity import ChenType1
 from tests.unit.multisteps import BLOCK, record
@@ -105,3 +107,18 @@ def test_the_second_horizon_is_a_share_of_the_settling_time_unless_given():
     settling = BLOCK.settling_time()
     assert second_horizon(BLOCK, 0.5, None) == (settling, 0.5 * settling)
     assert second_horizon(BLOCK, 0.5, 7.0) == (settling, 7.0)
+
+
+def test_a_delay_as_long_as_the_record_is_refused():
+    model = LinearModel.model_validate({"delay": 150, "block": {"n": 1, "horizon": 10}})
+    with pytest.raises(ValueError, match=r"^the delay 150 is no shorter than the record, 99\.9: take a"):
+        model.check(1000, 0.1)
+
+
+def test_a_structure_search_says_why_the_last_candidate_was_refused():
+    spec = LinearModel.model_validate({"block": {"structure": "search", "largest_n": 2, "horizon": 1}})
+    rng = np.random.default_rng(1)
+
+    record = Record(np.zeros(300), rng.standard_normal(300), 0.05)
+    with pytest.raises(EstimationError, match=r"^no structure up to n = 2 .* \(the last"):
+        spec.fit(record, rng)

@@ -236,3 +236,12 @@ class TestSpecs:
 
     def test_a_horizon_by_the_settling_time_is_not_checked(self):
         SecondStageSpec(n=3).check(2, 0.1, 0.0, gain=True)
+
+
+def test_an_error_that_is_no_number_is_infinite():
+    block = ContinuousTransferFunction((1.0,), (1.0,))
+    wild = Measured(np.ones(10), lambda x: np.full_like(x, np.nan))
+    flat = Measured.directly(np.ones(10))
+    with np.errstate(all="ignore"):
+        assert wild.error_of(block, np.ones(10), 0.1) == np.inf
+        assert flat.error_of(block, np.ones(10), 0.1) == np.inf

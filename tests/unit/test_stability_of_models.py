@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from hident.metrics.models import SettlingTime, ValidationError
+from hident.metrics.models import SettlingTime, ValidationError, has_stable_block
 from hident.records import Estimate, Record, Truth
 from hident.signals.excitation import Staircase
 from hident.systems.continuous import ContinuousTransferFunction
+from hident.systems.linear import TransferFunction
 
 LAG = ContinuousTransferFunction((3.0,), (2.0,), delay=0.7)
 UNSTABLE = ContinuousTransferFunction((3.0,), (-2.0,))
@@ -38,3 +39,8 @@ def test_the_response_of_an_unstable_model_is_infinitely_wrong():
     estimate = Estimate(continuous=UNSTABLE, response=UNSTABLE.respond)
     assert STEPS.evaluate(estimate, RECORD) == (math.inf,)
     assert STEPS.evaluate(Estimate(continuous=LAG, response=LAG.respond), RECORD) == (0.0,)
+
+
+def test_an_unstable_discrete_block_is_seen():
+    assert not has_stable_block(Estimate(linear=TransferFunction(a=(1.5,))))
+    assert has_stable_block(Estimate(linear=TransferFunction(a=(0.5,))))

@@ -11,9 +11,10 @@ import pytest
 from hident import plugins
 from hident.config.spec import component
 from hident.engine.experiment import load
-from hident.engine.trial import Job, Outcome, digest, generate, run_trials
+from hident.engine.trial import Data, Job, Outcome, digest, generate, run_trials
 from hident.errors import EstimationError, SimulationError
 from hident.estimators.base import EstimatorSpec
+from hident.estimators.nonparametric.least_squares import LeastSquares
 from hident.metrics.base import MetricSpec
 from hident.metrics.values import Value
 from hident.records import Array, Estimate, Record, Truth
@@ -253,3 +254,28 @@ def test_a_perturbed_held_input_keeps_its_levels_apart_and_equal_ones_equal(lab:
     plain, moved = generate(data, 7, 0), generate(data, 7, 0, perturbation=1)
     assert (plain.u != moved.u).any()
     np.testing.assert_array_equal(np.diff(plain.u) == 0.0, np.diff(moved.u) == 0.0)
+
+
+@component("metric", "cannot_simulate")
+class CannotSimulate(MetricSpec):
+    """Simulates what cannot be simulated."""
+
+    def evaluate(self, estimate, record):
+        raise SimulationError("the tank runs dry")
+
+
+def test_a_simulation_that_fails_in_a_metric_is_a_failed_trial():
+    data = Data.model_validate(
+        {
+            "samples": 100,
+            "system": {
+                "kind": "hammerstein",
+                "nonlinearity": "identity",
+                "linear": {"kind": "ar", "a": [0.5]},
+            },
+            "excitation": {"kind": "iid", "distribution": "gaussian", "std": 1},
+        }
+    )
+    (outcome,) = run_trials(data, [Job(LeastSquares(order=1), (CannotSimulate(),))], {0: [0]}, 1)
+    assert [(s.failure, s.crash) for s in outcome.scores] == [("metric: the tank runs dry", "")]
+    assert np.isnan(outcome.values).all()

@@ -260,3 +260,8 @@ class TestErrors:
     def test_fields(self, field, wrong, message):
         with pytest.raises(ValidationError, match=message):
             VorosWiener.model_validate({"n": 2, "m": 2, "degree": 3, field: wrong})
+
+
+@pytest.mark.parametrize("n", [1, 2, 10])
+def test_a_record_too_short_for_voros_is_left_to_the_general_message(n):
+    VorosHammerstein(n=1, m=2, degree=3).check(n, None)
