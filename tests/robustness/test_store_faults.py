@@ -165,8 +165,8 @@ def test_full_disk_under_the_outputs(filled: Lab) -> None:
 
 def test_full_disk_under_an_export(filled: Lab) -> None:
     filled.configure(estimators={"long" * 50: {"kind": "known_dynamics", "a": [0.8]}, "probe": "probe"})
-    options = {"preexec_fn": lambda: _limit_files(35_000)}
-    said = filled.hident("export", "tiny.yaml", "x.csv", code=2, **options).stderr
+    limited = filled.hident("export", "tiny.yaml", "x.csv", code=2, preexec_fn=lambda: _limit_files(35_000))
+    said = limited.stderr
     assert said == "error: x.csv cannot be written: file too large\n"
     assert not list(filled.folder.glob("*.part")) + list(filled.folder.glob("*.csv"))
 
