@@ -124,7 +124,6 @@ PLANTS = (
         "1.001 * weight * forward",
     ),
     Plant("chen_fig8", f"{_HORIZONS}.four_segment:forward", "/ e[2]", "/ (1.001 * e[2])"),
-    Plant("chen_fig8", "estimators.voros_wiener:voros_wiener", "g[0] += 1.0", "g[0] += 1.001"),
     Plant("chen_example3", "systems.processes:PhNeutralisation._balance", "2.0 * sec", "2.002 * sec"),
     Plant("chen_example3", "systems.processes:PhNeutralisation._advance", "valve *", "1.001 * valve *"),
     # Brouri: system, inputs, averages, harmonic map, levels, phases, variances
