@@ -495,7 +495,7 @@ def _several(example, length=None):
 def _raised(excitation):
     match excitation["kind"]:
         case "iid":
-            return {**excitation, "low": -1.5, "high": 4}
+            return {**excitation, "low": -1.5, "high": 2}
         case "multistep":
             return {**excitation, "limits": [-1, 2]}
     return excitation
