@@ -13,7 +13,7 @@ import importlib
 import importlib.util
 import pkgutil
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
@@ -37,16 +37,21 @@ def load(files: Iterable[Path] = ()) -> None:
     ConfigError
         If plugins cannot be imported; the message names each and its reason.
     """
-    for room in _ROOMS:
-        package = importlib.import_module(f"hident.{room}")
-        for module in pkgutil.walk_packages(package.__path__, f"hident.{room}."):
-            importlib.import_module(module.name)
+    for module in built_in():
+        importlib.import_module(module)
     problems = [
         *(_tried(f"plugin '{e.name}' ({e.value})", e.load) for e in entry_points(group=GROUP)),
         *(_tried(f"plugin {path}", partial(_load_file, path)) for path in files),
     ]
     if any(problems):
         raise ConfigError("\n".join(filter(None, problems)))
+
+
+def built_in() -> Iterator[str]:
+    """The names of the modules that hold the built-in components."""
+    for room in _ROOMS:
+        package = importlib.import_module(f"hident.{room}")
+        yield from (module.name for module in pkgutil.walk_packages(package.__path__, f"hident.{room}."))
 
 
 def _tried(name: str, action: Callable[[], object]) -> str:

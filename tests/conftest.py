@@ -22,7 +22,7 @@ from hypothesis import settings
 
 # It decides which kernels numpy and BLAS use, so it comes before them.
 import hident  # noqa: F401
-from tests.forked import GUARD_SECONDS, run_forked
+from tests.forked import GUARD_SECONDS, Forked, run_forked
 
 # The same examples everywhere, however slow the machine.
 settings.register_profile("suite", deadline=None, derandomize=True, database=None)
@@ -104,7 +104,7 @@ class Lab:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.config = json.loads(json.dumps(TINY))
-        self.started: list[subprocess.Popen[bytes]] = []
+        self.started: list[Forked] = []
 
     def configure(self, name: str = "tiny", **changes: Any) -> None:
         self.config |= changes
@@ -151,27 +151,14 @@ class Lab:
         return done
 
     def run(self, *arguments: str, code: int = 0, **options: Any) -> str:
-        """``hident run tiny.yaml``, with one worker unless told otherwise; returns standard error.
-
-        Workers belong to a process that is started anew.
-        """
-        workers = "--jobs" in arguments and "1" not in arguments
+        """``hident run tiny.yaml``, with one worker unless told otherwise; returns standard error."""
         jobs = () if "--jobs" in arguments else ("--jobs", "1")
-        fresh = options.pop("fresh", workers)
-        return self.hident("run", "tiny.yaml", *jobs, *arguments, code=code, fresh=fresh, **options).stderr
+        return self.hident("run", "tiny.yaml", *jobs, *arguments, code=code, **options).stderr
 
-    def start(self, *arguments: str, log: str = "log.txt") -> subprocess.Popen[bytes]:
+    def start(self, *arguments: str, log: str = "log.txt") -> Forked:
         """Start the program in a process group of its own, as a terminal does; it writes to a log."""
         with (self.folder / log).open("wb") as file:
-            process = subprocess.Popen(
-                [*_PROGRAM, *self._arguments(arguments)],
-                cwd=self.folder,
-                stdout=file,
-                stderr=file,
-                start_new_session=True,
-                # The tests themselves may have been started with SIGINT ignored.
-                preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
-            )
+            process = Forked(self._arguments(arguments), self.folder, file, file)
         self.started.append(process)
         return process
 

@@ -16,11 +16,13 @@ import tempfile
 import traceback
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 from typing import IO, NoReturn
 
 # No test waits for this; it ends what would hang for ever.
 GUARD_SECONDS = 900
+ROOT = Path(__file__).parents[1]
 
 
 def run_forked(
@@ -30,25 +32,56 @@ def run_forked(
     preexec_fn: Callable[[], object] = lambda: None,
 ) -> subprocess.CompletedProcess[str]:
     """Run the program to its end; the options are those of ``subprocess.run``."""
-    _import_what_is_slow()
-    environment = dict(os.environ if env is None else env)
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        with warnings.catch_warnings():
-            # A fork of a process with threads: those of BLAS and of xdist do not count in the child.
-            warnings.simplefilter("ignore", DeprecationWarning)
-            child = os.fork()
-        if child == 0:
-            _become(arguments, cwd, environment, preexec_fn, (out, err))
-        _, status = os.waitpid(child, 0)
+        code = Forked(arguments, cwd, out, err, env, preexec_fn).wait()
         said = []
         for file in (out, err):
             file.seek(0)
             said.append(file.read().decode())
-    return subprocess.CompletedProcess(list(arguments), os.waitstatus_to_exitcode(status), *said)
+    return subprocess.CompletedProcess(list(arguments), code, *said)
+
+
+class Forked:
+    """The program on its way, in a process group of its own; methods are those of ``subprocess.Popen``."""
+
+    def __init__(
+        self,
+        arguments: Sequence[str],
+        cwd: Path,
+        out: IO[bytes],
+        err: IO[bytes],
+        env: Mapping[str, str] | None = None,
+        preexec_fn: Callable[[], object] = lambda: None,
+    ) -> None:
+        _prepare()
+        environment = dict(os.environ if env is None else env)
+        self._code: int | None = None
+        with warnings.catch_warnings():
+            # A fork of a process with threads: those of BLAS and of xdist do not count in the child.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            self.pid = os.fork()
+        if self.pid == 0:
+            _become(arguments, cwd, environment, preexec_fn, (out, err))
+
+    def poll(self) -> int | None:
+        if self._code is None:
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            self._code = os.waitstatus_to_exitcode(status) if pid else None
+        return self._code
+
+    def wait(self) -> int:
+        if self._code is None:
+            self._code = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+        return self._code
+
+    def kill(self) -> None:
+        if self.poll() is None:
+            os.kill(self.pid, signal.SIGKILL)
 
 
 @functools.cache
-def _import_what_is_slow() -> None:
+def _prepare() -> None:
+    """Import what is slow to import, and read once the source code of which the program makes its keys."""
     import matplotlib.pyplot  # noqa: F401
     import pandas  # noqa: F401
     import rich.progress  # noqa: F401
@@ -56,10 +89,14 @@ def _import_what_is_slow() -> None:
     import scipy.signal
     import scipy.stats  # noqa: F401
 
-    import hident.commands  # noqa: F401
+    import hident.commands
+    import hident.progress  # noqa: F401
     from hident import plugins
+    from hident.engine.experiment import load
+    from hident.reports.output import output_key
 
     plugins.load()
+    output_key(load(ROOT / "configs/mzyk_table1.yaml"), seed=1, trials=1)
 
 
 def _become(
@@ -75,11 +112,13 @@ def _become(
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(GUARD_SECONDS)
+        os.setsid()
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         for descriptor, file in enumerate(files, start=1):
             os.dup2(file.fileno(), descriptor)
         sys.stdin, sys.stdout, sys.stderr = (
-            open(descriptor, mode, encoding="utf-8", closefd=False)  # noqa: SIM115
+            # Standard error by lines, as Python has it.
+            open(descriptor, mode, 1 if descriptor == 2 else -1, encoding="utf-8", closefd=False)  # noqa: SIM115
             for descriptor, mode in ((0, "r"), (1, "w"), (2, "w"))
         )
         os.environ.clear()
@@ -87,6 +126,7 @@ def _become(
         os.chdir(cwd)
         _warn_as_python_does()
         _stop_the_clock()
+        _forget_helpers()
         preexec_fn()
         sys.argv = ["hident", *arguments]
         from hident.cli import main
@@ -107,6 +147,12 @@ def _warn_as_python_does() -> None:
     warnings.resetwarnings()
     for kind in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
         warnings.simplefilter("ignore", kind)
+
+
+def _forget_helpers() -> None:
+    """The processes by which multiprocessing starts others are no children of this one: it has its own."""
+    forkserver._forkserver.__init__()  # type: ignore[misc]
+    resource_tracker._resource_tracker.__init__()  # type: ignore[misc]
 
 
 def _stop_the_clock() -> None:

@@ -14,7 +14,6 @@ import functools
 import importlib
 import inspect
 import sys
-import tempfile
 import textwrap
 import types
 from collections.abc import Iterator
@@ -23,22 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hident import arithmetic, plugins
-from hident.engine.executors import SerialExecutor
-from hident.engine.experiment import load
-from hident.engine.fingerprint import libraries
-from hident.engine.run_files import TRIALS
-from hident.engine.runner import run
-from hident.engine.store import Store
-from hident.ledger.compare import CHANCE
-from hident.ledger.run_folder import arithmetic as arithmetic_of
-from hident.ledger.run_folder import read_run
-from hident.ledger.sensitivity import RTOL, SENSITIVITY, Sensitivity
-from hident.ledger.trial_comparison import TrialComparison
-from hident.ledger.trial_values import TrialValues
+from tests.accepted import RESULTS, differences
 
-ROOT = Path(__file__).parents[1]
-RESULTS = ROOT / "results"
 TRIALS_RUN = 3
 
 
@@ -160,24 +145,8 @@ CONFIGS = tuple(dict.fromkeys(plant.config for plant in PLANTS))
 
 
 def found(config: str, results: Path = RESULTS) -> list[str]:
-    """What a few trials of a configuration, run now, differ in beyond what is allowed, a text each."""
-    plugins.load()
-    plan = load(ROOT / "configs" / f"{config}.yaml")
-    seed, trials = plan.experiment.seed, min(TRIALS_RUN, plan.experiment.trials)
-    with tempfile.TemporaryDirectory() as folder, Store(Path(folder) / "store").writing() as writer:
-        ours = TrialValues.of(run(plan, writer, SerialExecutor(), 1, trials=trials, seed=seed))
-    accepted = results / config
-    reference = TrialValues.decoded((accepted / TRIALS).read_bytes())
-    sensitivity = Sensitivity.decoded((accepted / SENSITIVITY).read_bytes())
-    compared = TrialComparison(ours, reference, RTOL, None if _same_arithmetic(accepted) else sensitivity)
-    moved = compared.moved(CHANCE / max(len(compared.units), 1))
-    return [*compared.unmatched(), *(unit.said for unit in moved if not unit.allowed)]
-
-
-def _same_arithmetic(accepted: Path) -> bool:
-    ours = {"arithmetic": {"identity": arithmetic.identity()}, "libraries": {**libraries()}}
-    del ours["libraries"]["arithmetic"]
-    return bool(arithmetic_of({"provenance": ours}) == arithmetic_of(read_run(accepted) or {}))
+    """What a few trials of a configuration, run now, differ in, a text each."""
+    return differences(config, TRIALS_RUN, results)
 
 
 def _function(target: str) -> types.FunctionType:

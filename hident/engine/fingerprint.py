@@ -163,7 +163,12 @@ def _mentioned_beside(module: str) -> set[str]:
     package = module.partition(".")[0]
     others = [name for name in sys.modules if name.partition(".")[0] == package and name != module]
     paths = filter(None, map(_path, others))
-    return set().union(*(_mentioned(ast.parse(path.read_bytes())) for path in paths))
+    return set().union(*(_mentioned_in(path.read_bytes()) for path in paths))
+
+
+@cache
+def _mentioned_in(source: bytes) -> set[str]:
+    return _mentioned(ast.parse(source))
 
 
 def _is_own(module: str, packages: Set[str], folders: Set[Path]) -> bool:

@@ -1,18 +1,18 @@
-"""The printed numbers of Wang, Zhang and Ljung 2009, judged from trials computed here."""
+"""The printed numbers of Wang, Zhang and Ljung 2009, judged from the accepted trials."""
 
 import pytest
 
-from tests.published.test_mzyk2009 import verdicts
+from tests.accepted import accepted_verdicts
 
 
 @pytest.fixture(scope="module")
-def table1(tmp_path_factory):
-    return verdicts("wang_table1", tmp_path_factory.mktemp("table1"), trials=100)
+def table1():
+    return accepted_verdicts("wang_table1")
 
 
 @pytest.fixture(scope="module")
-def table2(tmp_path_factory):
-    return verdicts("wang_table2", tmp_path_factory.mktemp("table2"), trials=100)
+def table2():
+    return accepted_verdicts("wang_table2")
 
 
 def of(found, row):

@@ -7,8 +7,9 @@ import sys
 
 import pytest
 
+from tests.accepted import ROOT
 from tests.arithmetics import ARITHMETICS, Arithmetic
-from tests.planted_changes import CONFIGS, PLANTS, ROOT, Plant, found
+from tests.planted_changes import CONFIGS, PLANTS, Plant, found
 
 _PAPERS = ("mzyk", "wang", "chen", "brouri")
 
@@ -17,11 +18,6 @@ def test_changes_are_planted_all_over_the_four_papers() -> None:
     assert len({(plant.target, plant.old) for plant in PLANTS}) >= 20
     for paper in _PAPERS:
         assert sum(plant.config.startswith(paper) for plant in PLANTS) >= 5
-
-
-@pytest.mark.parametrize("config", CONFIGS)
-def test_the_code_as_it_is_gives_the_accepted_trials(config: str) -> None:
-    assert found(config) == []
 
 
 @pytest.mark.parametrize("plant", PLANTS, ids=str)

@@ -24,14 +24,20 @@ import sys
 from pathlib import Path
 from hident import cli
 
-codes = {}
-for line in Path("verbs.txt").read_text().splitlines():
-    sys.argv = ["hident", *line.split()]
-    try:
-        cli.main()
-    except SystemExit as end:
-        codes[line] = int(end.code)
-Path("codes.txt").write_text(repr(codes))
+def main():
+    codes = {}
+    for line in Path("verbs.txt").read_text().splitlines():
+        sys.argv = ["hident", *line.split()]
+        try:
+            cli.main()
+        except SystemExit as end:
+            codes[line] = int(end.code)
+    Path("codes.txt").write_text(repr(codes))
+
+
+# Worker processes import this file.
+if __name__ == "__main__":
+    main()
 """
 _VERBS = {
     "--help": 0,

@@ -48,8 +48,18 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     _read_again()
 
 
+@pytest.fixture(autouse=True)
+def _only_plugins_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The package's own modules, which no test edits, are read once."""
+    remembered, anew = module._of_module, module._of_module.__wrapped__
+
+    def of_module(name: str, *, shown: bool) -> tuple[str, tuple[str, ...]]:
+        return (remembered if name.startswith("hident.") else anew)(name, shown=shown)
+
+    monkeypatch.setattr(module, "_of_module", of_module)
+
+
 def _read_again() -> None:
-    module._of_module.cache_clear()
     module._of_modules.cache_clear()
 
 

@@ -1,5 +1,4 @@
 import pickle
-import subprocess
 import sys
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -13,6 +12,7 @@ from hident.engine.experiment import load
 from hident.errors import ConfigError
 from hident.estimators.base import EstimatorSpec
 from hident.records import Record
+from tests.forked import run_forked
 
 PLUGIN = '''
 import numpy as np
@@ -78,21 +78,16 @@ def test_a_file_adds_an_estimator(tmp_path):
 
 
 def test_the_command_line_lists_and_validates_with_it(tmp_path):
-    (tmp_path / "mine.py").write_text(PLUGIN.format(kind="plugin_mean"))
-    (tmp_path / "a.yaml").write_text(CONFIG)
+    # No test registers it in this process.
+    (tmp_path / "mine.py").write_text(PLUGIN.format(kind="plugin_listed"))
+    (tmp_path / "a.yaml").write_text(CONFIG.replace("plugin_mean", "plugin_listed"))
 
     def hident(*arguments):
-        return subprocess.run(
-            [sys.executable, "-m", "hident", *arguments],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        return run_forked(arguments, tmp_path)
 
-    shown = hident("list", "estimators", "plugin_mean", "--plugin", "mine.py")
+    shown = hident("list", "estimators", "plugin_listed", "--plugin", "mine.py")
     assert shown.stdout.splitlines() == [
-        "plugin_mean: The mean of the output, whatever the input.",
+        "plugin_listed: The mean of the output, whatever the input.",
         "source: Nobody 2001",
         "",
         "key    holds   default  meaning",
