@@ -4,7 +4,7 @@ Each plant replaces one expression in one function, computes a few trials of a s
 compares them with the accepted ones, trial by trial, as ``hident compare --partial`` does. The data have the
 random numbers of the accepted trials, since seeds hash the configuration and not the code.
 
-``python -m tests.planted_changes`` prints what is found under the arithmetic in use, a line each.
+``python -m tests.planted_changes [--foreign]`` prints what is found, a line each.
 """
 
 from __future__ import annotations
@@ -13,18 +13,24 @@ import argparse
 import functools
 import importlib
 import inspect
+import subprocess
 import sys
 import textwrap
 import types
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tests.accepted import RESULTS, differences
+from tests.accepted import RESULTS, ROOT, differences
+from tests.arithmetics import ARITHMETICS, Arithmetic
 
 TRIALS_RUN = 3
+FOREIGN = Arithmetic(
+    "foreign", {**ARITHMETICS["nehalem"].settings, **ARITHMETICS["no-avx2"].settings}, frozenset()
+)
+"""No kernel and no loop of the accepted results."""
 
 
 @dataclass(frozen=True)
@@ -190,22 +196,39 @@ def _forget() -> None:
                     value.cache_clear()
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Print what is found of each plant, and of none; 1 if a plant is not found or something else is."""
     parser = argparse.ArgumentParser(prog="python -m tests.planted_changes", description=__doc__)
+    parser.add_argument("configs", nargs="*", metavar="CONFIG", help="these (default: all)")
+    parser.add_argument("--foreign", action="store_true", help="compute with other kernels than the accepted")
     parser.add_argument("--results", type=Path, default=RESULTS, help="the accepted results")
-    results = parser.parse_args().results
+    given = parser.parse_args(arguments)
+    configs = given.configs or CONFIGS
+    if unknown := {*configs} - {*CONFIGS}:
+        parser.error(f"no change is planted in {', '.join(sorted(unknown))}")
+    if given.foreign:
+        return _again_elsewhere([*configs, "--results", str(given.results)])
     wrong = 0
-    for config in CONFIGS:
-        lines = found(config, results)
+    for config in configs:
+        lines = found(config, given.results)
         print(f"{'differs' if lines else 'equal'}: {config} as it is", *lines, sep="\n    ", flush=True)
         wrong += bool(lines)
     for plant in PLANTS:
-        with plant.planted():
-            lines = found(plant.config, results)
-        print(f"{'found' if lines else 'missed'}: {plant}: {len(lines)} estimates", flush=True)
-        wrong += not lines
+        if plant.config in configs:
+            with plant.planted():
+                lines = found(plant.config, given.results)
+            print(f"{'found' if lines else 'missed'}: {plant}: {len(lines)} estimates", flush=True)
+            wrong += not lines
     return 1 if wrong else 0
+
+
+def _again_elsewhere(arguments: list[str]) -> int:
+    """The same in a process of another arithmetic."""
+    if why := FOREIGN.hindrance():
+        print(f"the other arithmetic cannot be had here: {why}", flush=True)
+        return 0
+    command = [sys.executable, "-m", "tests.planted_changes", *arguments]
+    return subprocess.run(command, cwd=ROOT, env=FOREIGN.environment, check=False).returncode
 
 
 if __name__ == "__main__":

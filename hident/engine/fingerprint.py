@@ -72,27 +72,36 @@ def _of_module(module: str, *, shown: bool) -> tuple[str, tuple[str, ...]]:
     path = _path(module)
     if path is None or (not shown and module.startswith(_SHOWS)):
         return "", ()
-    tree = ast.parse(path.read_bytes())
-    if not shown:
-        tree.body = _computing(tree.body, module)
+    tree = _code(path.read_bytes())
+    statements = [single for statement in tree.body for single in _single(statement)]
+    kept = statements if shown else _computing(statements, module)
+    if not shown and len(kept) == len(statements):
+        return _of_module(module, shown=True)
     package = sys.modules[module].__package__ or ""
     imports = set()
-    for node in ast.walk(tree):
+    for node in ast.walk(tree if shown else ast.Module(kept, [])):
         if isinstance(node, ast.Import):
             imports |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             name = resolve_name("." * node.level + (node.module or ""), package)
             imports |= {name, *(f"{name}.{alias.name}" for alias in node.names)}
+    return digest([ast.dump(statement) for statement in kept]), tuple(sorted(imports - _WORDS))
+
+
+@cache
+def _code(source: bytes) -> ast.Module:
+    """The syntax tree without docstrings."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
         _strip_docstring(node)
-    return digest(ast.dump(tree)), tuple(sorted(imports - _WORDS))
+    return tree
 
 
 def _computing(statements: list[ast.stmt], module: str) -> list[ast.stmt]:
-    """The top-level statements without tables and figures, and without what only these mention.
+    """Top-level statements without tables and figures, and without what only these mention.
 
     A name that is imported and not mentioned counts as one that they mention, as it may have been theirs.
     """
-    statements = [single for statement in statements for single in _single(statement)]
     loaded, mentions = sys.modules[module], {s: _mentioned(s) for s in statements}
     left_out: list[ast.stmt] = [
         s for s in statements if isinstance(s, ast.ClassDef) and _shows(getattr(loaded, s.name, None))
@@ -168,7 +177,7 @@ def _mentioned_beside(module: str) -> set[str]:
 
 @cache
 def _mentioned_in(source: bytes) -> set[str]:
-    return _mentioned(ast.parse(source))
+    return _mentioned(_code(source))
 
 
 def _is_own(module: str, packages: Set[str], folders: Set[Path]) -> bool:
