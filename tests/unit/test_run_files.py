@@ -55,6 +55,13 @@ def test_a_table_named_as_a_file_of_every_run_is_refused(tmp_path, name, file):
     ]
 
 
+def test_a_table_named_as_the_file_that_accept_writes_beside_those_of_a_run_is_refused(tmp_path):
+    assert refused(tmp_path, tables=["sensitivity"]) == [
+        "a.yaml:10: tables.sensitivity: the name 'sensitivity' is kept for sensitivity.csv, which accept "
+        "writes itself"
+    ]
+
+
 @pytest.mark.parametrize("section", ["tables", "figures"])
 @pytest.mark.parametrize("name", ["con", "NUL", "aux", "prn", "com1", "LPT9"])
 def test_a_device_of_windows_is_refused(tmp_path, section, name):
@@ -76,8 +83,10 @@ def test_a_name_that_is_too_long_for_a_file_is_refused(tmp_path):
 
 
 def test_names_of_a_table_and_a_figure_may_be_one_as_their_files_are_two(tmp_path):
-    plan = load(written(tmp_path, tables=["errors", "console"], figures=["errors", "trials", "table"]))
-    assert list(plan.experiment.figures) == ["errors", "trials", "table"]
+    plan = load(
+        written(tmp_path, tables=["errors", "console"], figures=["errors", "trials", "table", "sensitivity"])
+    )
+    assert list(plan.experiment.figures) == ["errors", "trials", "table", "sensitivity"]
 
 
 def test_the_names_are_those_that_a_run_writes(lab):
