@@ -253,7 +253,7 @@ def _scored_as(error: BaseException, metric: MetricSpec, *, of_metric: bool = Fa
         prefix = OF_METRIC if of_metric else ""
         return Score(np.full(len(metric.labels("")), np.nan), prefix + reason(error))
     said = f"{type(error).__name__}: {_text(error)}"
-    return Score(np.empty(0), said, _sound("".join(traceback.format_exception(error))))
+    return Score(np.empty(0), said, _encodable("".join(traceback.format_exception(error))))
 
 
 def reason(error: BaseException) -> str:
@@ -265,11 +265,11 @@ def reason(error: BaseException) -> str:
 
 def _text(error: BaseException) -> str:
     try:
-        return _sound(str(error))
+        return _encodable(str(error))
     except Exception:
         return "(its message cannot be shown)"
 
 
-def _sound(text: str) -> str:
+def _encodable(text: str) -> str:
     """The text as a file can hold it: lone surrogates are written out."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
