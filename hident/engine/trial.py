@@ -180,7 +180,14 @@ def _sampled(system: SystemSpec, stretch: Stretch, rng: np.random.Generator) -> 
 
 
 def estimate(data: Data, job: Job, record: Record, seed: int, trial: int) -> Estimate:
-    """The estimate of one job from a trial's record."""
+    """The estimate of one job from a trial's record.
+
+    Raises
+    ------
+    EstimationError
+        If the estimator does not take the record's experiments; and what its ``fit`` raises.
+    """
+    job.estimator.require_experiments(record)
     if job.estimator.draws():
         rng = data.streams.generator("estimator", seed, job.key, trial)
     else:

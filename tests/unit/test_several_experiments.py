@@ -8,7 +8,7 @@ import pytest
 from hident import plugins
 from hident.config.spec import Of, component, components
 from hident.engine.preflight import check_records
-from hident.engine.trial import Data, Job, generate, run_trials
+from hident.engine.trial import Data, Job, estimate, generate, run_trials
 from hident.errors import ConfigError, EstimationError
 from hident.estimators.base import EstimatorSpec
 from hident.estimators.bilinear_models.ar_noise import METHODS, ArModel
@@ -305,6 +305,12 @@ def test_an_estimator_that_does_not_say_what_it_does_with_them_is_refused(tmp_pa
         f"{tmp_path}/a.yaml:15: estimators.it: newcomer takes a record of one experiment, and this one has "
         "2: it does not say that it keeps them apart"
     )
+
+
+def test_a_trial_refuses_them_to_it_too(tmp_path, newcomer):
+    (unit,) = plan(tmp_path, newcomer, "b_1").units
+    with pytest.raises(EstimationError, match=r"^newcomer takes a record of one experiment"):
+        estimate(unit.data, Job(unit.estimator, ()), generate(unit.data, 1, 0), 1, 0)
 
 
 @pytest.mark.parametrize("parts", ["both", "only"])
