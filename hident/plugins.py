@@ -19,7 +19,7 @@ from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from importlib.metadata import entry_points
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import Any
 
 from hident.errors import ConfigError
@@ -127,6 +127,15 @@ class _Neighbours(MetaPathFinder):
 
 class _Loader(SourceFileLoader):
     """Loads a module whose import statements look beside its plugin first."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        """The code of the source as it is now.
+
+        Stored bytecode is told from stale by the time and the size of the source, which a quick edit may
+        keep; and results are stored under a hash of the source.
+        """
+        path = self.get_filename(fullname)
+        return self.source_to_code(self.get_data(path), path)
 
     def exec_module(self, module: ModuleType) -> None:
         package = module.__name__.partition(".")[0]

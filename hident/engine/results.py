@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -39,28 +39,12 @@ class Series:
     @cached_property
     def valid(self) -> Array:
         """The values of the trials that did not fail; all the first where they differ by rounding only."""
-        found = self.values[np.isfinite(self.values)]
-        return np.full_like(found, found[0]) if len(found) and is_constant(found) else found
+        return _valid(self.values)
 
     @cached_property
-    @np.errstate(all="ignore")
     def statistics(self) -> dict[str, float]:
-        """The statistics of table.csv; std is the sample one, se that of the mean."""
-        valid = self.valid
-        counts = {"trials": len(self.values), "failed": len(self.values) - len(valid)}
-        if not len(valid):
-            return {**counts, **dict.fromkeys(STATISTICS[2:], float("nan"))}
-        # The mean of equal numbers may differ from them in the last digit, and each from that mean.
-        constant = bool(np.all(valid == valid[0]))
-        std = float("nan") if len(valid) < 2 else 0.0 if constant else float(np.std(valid, ddof=1))
-        return {
-            **counts,
-            "mean": float(valid[0] if constant else np.mean(valid)),
-            "std": std,
-            "se": std / len(valid) ** 0.5,
-            "median": float(np.median(valid)),
-            **{name: float(np.quantile(valid, q)) for name, q in QUANTILES.items()},
-        }
+        """The statistics of table.csv."""
+        return statistics(self.values)
 
     def value(self, statistic: Statistic) -> float:
         """The statistic over the trials that did not fail; nan if there are too few."""
@@ -87,9 +71,29 @@ class Series:
                 return float(high - low) / 4.0
 
 
+@np.errstate(all="ignore")
 def statistics(values: Array) -> dict[str, float]:
-    """The statistics of table.csv of a series of values, one for each trial."""
-    return Series(cast("Unit", None), "", values).statistics
+    """The statistics of table.csv of a value for each trial; std is the sample one, se that of the mean."""
+    valid = _valid(values)
+    counts = {"trials": len(values), "failed": len(values) - len(valid)}
+    if not len(valid):
+        return {**counts, **dict.fromkeys(STATISTICS[2:], float("nan"))}
+    # The mean of equal numbers may differ from them in the last digit, and each from that mean.
+    constant = bool(np.all(valid == valid[0]))
+    std = float("nan") if len(valid) < 2 else 0.0 if constant else float(np.std(valid, ddof=1))
+    return {
+        **counts,
+        "mean": float(valid[0] if constant else np.mean(valid)),
+        "std": std,
+        "se": std / len(valid) ** 0.5,
+        "median": float(np.median(valid)),
+        **{name: float(np.quantile(valid, q)) for name, q in QUANTILES.items()},
+    }
+
+
+def _valid(values: Array) -> Array:
+    found = values[np.isfinite(values)]
+    return np.full_like(found, found[0]) if len(found) and is_constant(found) else found
 
 
 def grouped(reasons: Iterable[str]) -> tuple[tuple[str, int], ...]:

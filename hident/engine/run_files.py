@@ -1,4 +1,4 @@
-"""The names of the files that a run writes to its folder, and which names are left for tables and figures."""
+"""The names of the files in the folder of a run, and which names are left for tables and figures."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ TRIALS = "trials.csv.xz"
 CRASHES = "crashes.txt"
 """What a crashed run leaves."""
 OWN = (RUN, TABLE, PAGE, VERDICTS, TRIALS, CRASHES)
+SENSITIVITY = "sensitivity.csv"
+"""How many trials a last bit moves; accept writes it beside the files of the run."""
 _LONGEST = 100
 # The numbers of Windows' devices may be superscripts.
 _DEVICES = re.compile(r"con|prn|aux|nul|(?:com|lpt)[0-9¹²³]")
@@ -38,7 +40,8 @@ def misnamed(tables: Iterable[str], figures: Iterable[str]) -> Iterator[tuple[st
 
     What differs in capitals only is one file on many systems.
     """
-    own = {file.partition(".")[0]: file for file in reversed(OWN)}
+    writers = {**dict.fromkeys(reversed(OWN), "a run"), SENSITIVITY: "accept"}
+    kept = {file.partition(".")[0]: f"{file}, which {writer}" for file, writer in writers.items()}
     taken = dict.fromkeys(OWN, "a file of every run")
     for section, names, file_of in (("tables", tables, table_file), ("figures", figures, figure_file)):
         for name in names:
@@ -48,8 +51,8 @@ def misnamed(tables: Iterable[str], figures: Iterable[str]) -> Iterator[tuple[st
                 yield section, name, f"a name has at most {_LONGEST} characters, not {len(name)}"
             elif _DEVICES.fullmatch(folded):
                 yield section, name, f"the name '{name}' is that of a device under Windows: take another"
-            elif section == "tables" and folded in own:
-                yield section, name, f"the name '{name}' is kept for {own[folded]}, which a run writes itself"
+            elif section == "tables" and folded in kept:
+                yield section, name, f"the name '{name}' is kept for {kept[folded]} writes itself"
             elif file in taken:
                 yield section, name, f"would be written to the file of {taken[file]}: take another name"
             taken[file] = f"{section}.{name}"

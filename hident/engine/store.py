@@ -196,11 +196,11 @@ class Writer:
 def _trials(connection: sqlite3.Connection, key: str, below: int) -> Iterator[Trial]:
     query = "SELECT trial, data, failure, checksum FROM trials WHERE key = ? AND trial < ? ORDER BY trial"
     for row in connection.execute(query, (key, below)):
-        if trial := _sound(key, *row):
+        if trial := _undamaged(key, *row):
             yield trial
 
 
-def _sound(key: str, number: Any, data: Any, failure: Any, checksum: Any) -> Trial | None:
+def _undamaged(key: str, number: Any, data: Any, failure: Any, checksum: Any) -> Trial | None:
     """The trial of a row; None if the row is damaged, as a damaged one may hold any type."""
     if not (isinstance(data, bytes) and isinstance(failure, bytes)):
         return None

@@ -180,7 +180,14 @@ def _sampled(system: SystemSpec, stretch: Stretch, rng: np.random.Generator) -> 
 
 
 def estimate(data: Data, job: Job, record: Record, seed: int, trial: int) -> Estimate:
-    """The estimate of one job from a trial's record."""
+    """The estimate of one job from a trial's record.
+
+    Raises
+    ------
+    EstimationError
+        If the estimator does not take the record's experiments; and what its ``fit`` raises.
+    """
+    job.estimator.require_experiments(record)
     if job.estimator.draws():
         rng = data.streams.generator("estimator", seed, job.key, trial)
     else:
@@ -253,7 +260,7 @@ def _scored_as(error: BaseException, metric: MetricSpec, *, of_metric: bool = Fa
         prefix = OF_METRIC if of_metric else ""
         return Score(np.full(len(metric.labels("")), np.nan), prefix + reason(error))
     said = f"{type(error).__name__}: {_text(error)}"
-    return Score(np.empty(0), said, _sound("".join(traceback.format_exception(error))))
+    return Score(np.empty(0), said, _encodable("".join(traceback.format_exception(error))))
 
 
 def reason(error: BaseException) -> str:
@@ -265,11 +272,11 @@ def reason(error: BaseException) -> str:
 
 def _text(error: BaseException) -> str:
     try:
-        return _sound(str(error))
+        return _encodable(str(error))
     except Exception:
         return "(its message cannot be shown)"
 
 
-def _sound(text: str) -> str:
+def _encodable(text: str) -> str:
     """The text as a file can hold it: lone surrogates are written out."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")

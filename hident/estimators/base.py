@@ -72,7 +72,10 @@ class EstimatorSpec(Component):
                 )
 
     def require_experiments(self, record: Record) -> None:
-        """Raise EstimationError unless it takes the record's experiments."""
+        """Raise EstimationError unless it takes the record's experiments.
+
+        A run asks before each ``fit``; a ``fit`` that others call asks by itself.
+        """
         self.check_experiments({name: part.dt for name, part in record.parts.items()}, record.dt)
 
     def draws(self) -> bool:

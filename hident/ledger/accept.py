@@ -9,11 +9,11 @@ from pathlib import Path, PurePath
 from typing import Literal
 
 from hident.config.suggest import one_of
-from hident.engine.run_files import RUN, TRIALS
+from hident.engine.run_files import RUN, SENSITIVITY, TRIALS
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.ledger.compare import compare
 from hident.ledger.run_folder import altered, file_digest, read_run, written
-from hident.ledger.sensitivity import SENSITIVITY, Sensitivity
+from hident.ledger.sensitivity import Sensitivity
 from hident.ledger.trial_values import TrialValues
 
 
@@ -91,12 +91,12 @@ def _known(accepted: Path, values: TrialValues, repetitions: int) -> bytes | Non
 
 def _files(ours: Path, config: str) -> set[PurePath]:
     """``run.json`` and the files that it lists, relative to the folder."""
-    path = ours / "run.json"
+    path = ours / RUN
     if not path.is_file():
         raise NothingToCompare(f"{ours} holds no finished run: hident run {config}")
     match read_run(ours):
         case {"files": [*listed]} if all(isinstance(name, str) for name in listed):
-            files = {PurePath(name) for name in ("run.json", *listed)}
+            files = {PurePath(name) for name in (RUN, *listed)}
         case _:
             raise ConfigError(f"{path} does not list the files of a run: hident run {config}")
     for name in sorted(files):

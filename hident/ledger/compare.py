@@ -19,17 +19,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from hident.engine.results import STATISTICS
-from hident.engine.run_files import RUN, TRIALS
+from hident.engine.run_files import RUN, SENSITIVITY, TABLE, TRIALS
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.ledger.contents import Row, content_differences, decode_table
 from hident.ledger.run_folder import altered, arithmetic, read_run
-from hident.ledger.sensitivity import SENSITIVITY, Sensitivity
+from hident.ledger.sensitivity import Sensitivity
 from hident.ledger.trial_comparison import TrialComparison, follows
 from hident.ledger.trial_values import Key, TrialValues
 
 CHANCE = 0.01
 """That a comparison of sound results finds, in any of its units, more moved trials than likely."""
-_TABLE = "table.csv"
 # What run.json says of the number of trials.
 _OF_TRIALS = ("experiment.trials ", "experiment.hash ", "experiment.resolved.trials ")
 
@@ -133,7 +132,7 @@ def _results(folder: Path, remedy: str) -> set[str]:
 
 
 def _is_result(folder: Path) -> bool:
-    return any((folder / name).is_file() for name in (RUN, _TABLE))
+    return any((folder / name).is_file() for name in (RUN, TABLE))
 
 
 def _files(folder: Path) -> set[str]:
@@ -194,7 +193,7 @@ class _Pair:
             of_trials = tuple(f"{RUN}: {path}" for path in _OF_TRIALS)
             yield from ((f"/{line}", True) for line in run if not line.startswith(of_trials))
             return
-        others = self._lines(self._names() - {RUN, _TABLE, TRIALS})
+        others = self._lines(self._names() - {RUN, TABLE, TRIALS})
         if moved and others:
             # What follows from the trials is told by its name alone.
             names = ", ".join(sorted({line.partition(": ")[0] for line in others}))
@@ -221,8 +220,8 @@ class _Pair:
         """What is wrong with table.csv: cells that are not those of the trials, rows that differ."""
         mine, wrong = _rows(self._ours, trials.ours)
         theirs, wrong_there = _rows(self._reference, trials.reference)
-        yield from (f"{_TABLE}: {line}" for line in wrong)
-        yield from (f"{_TABLE}: of the reference, {line}" for line in wrong_there)
+        yield from (f"{TABLE}: {line}" for line in wrong)
+        yield from (f"{TABLE}: of the reference, {line}" for line in wrong_there)
         if trials.ours.trials != trials.reference.trials:
             return
         for series in trials.units.values():
@@ -230,7 +229,7 @@ class _Pair:
                 if key in mine and key in theirs and not compared.moved.any():
                     name = trials.reference.described_series(key)
                     lines = trials.rows(mine[key], theirs[key], key)
-                    yield from (f"{_TABLE}: {name}: {line}" for line in lines)
+                    yield from (f"{TABLE}: {name}: {line}" for line in lines)
 
     def _names(self) -> set[str]:
         return (_files(self._ours) | _files(self._reference)) - {SENSITIVITY}
@@ -246,7 +245,7 @@ class _Pair:
 def _rows(folder: Path, values: TrialValues) -> tuple[dict[Key, Row], list[str]]:
     """The rows of table.csv by their series, and where they are not the statistics of the trials."""
     try:
-        table = decode_table((folder / _TABLE).read_bytes())
+        table = decode_table((folder / TABLE).read_bytes())
     except (OSError, ValueError) as error:
         return {}, [f"it cannot be read: {error}"]
     names = (*values.axes, "estimator", "metric")

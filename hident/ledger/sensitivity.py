@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hident.engine.run_files import SENSITIVITY as SENSITIVITY  # noqa: PLC0414
 from hident.ledger.trial_values import Key, TrialValues, difference
 
-SENSITIVITY = "sensitivity.csv"
 RTOL = 1e-6
 """Relative tolerance of a trial's value."""
 _COLUMNS = ("estimator", "trials", "perturbed", "moved")

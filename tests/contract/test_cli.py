@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import pty
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from tests.conftest import Lab
 
 plugins.load()
-_BEGAN = time.monotonic()
 _VERBS = ("list", "validate", "run", "status", "compare", "accept", "verify", "schema", "export", "doctor")
 _PUBLISHED = {
     "paper_trials": "unknown",
@@ -177,21 +177,34 @@ def test_what_a_run_writes(done: Lab) -> None:
         "platform",
     } <= provenance.keys()
     assert provenance["workers"] == 1
-    assert 0 < provenance["wall_seconds"] < time.monotonic() - _BEGAN
     # Outside of a repository there is no commit to name.
     assert provenance["git_commit"] is None
 
 
-def test_rerun_does_nothing_and_a_title_rewrites_without_a_trial(done: Lab) -> None:
-    def times() -> dict[Path, int]:
-        files = [path for path in done.folder.rglob("*") if path.is_file()]
-        return {path: path.stat().st_mtime_ns for path in files}
+def _tick() -> None:
+    """Turn the clock by a second whenever it is read."""
+    time.perf_counter = map(float, itertools.count()).__next__
 
-    before, trials = times(), done.trials()
+
+def test_the_wall_time_is_in_seconds_and_holds_all_trials(done: Lab) -> None:
+    done.forget()
+    done.run("-q", preexec_fn=_tick)
+    provenance = json.loads((done.folder / "out/tiny/run.json").read_text())["provenance"]
+    # As a trial takes more than a quarter of a second, each is a chunk, and read before and after.
+    assert provenance["wall_seconds"] == 2 * 12 + 1
+
+
+def test_rerun_does_nothing_and_a_title_rewrites_without_a_trial(done: Lab) -> None:
+    trials = done.trials()
+    before = {path for path in done.folder.rglob("*") if path.is_file()}
+    for path in before:
+        # A clock may stand for longer than a run takes.
+        os.utime(path, (0, 0))
     rerun = done.hident("run", "tiny.yaml", "--jobs", "1")
     assert rerun.stderr == "tiny: out/tiny is up to date\n"
     assert rerun.stdout == (done.folder / "out/tiny/table.md").read_text() + "\n"
-    assert times() == before
+    after = {path: path.stat().st_mtime for path in done.folder.rglob("*") if path.is_file()}
+    assert after == dict.fromkeys(before, 0.0)
 
     done.configure(title="Another title", tables={})
     said = done.run()

@@ -1,6 +1,7 @@
 """Absolute values are compared only where the system keeps the rule that fixes the free factor."""
 
 import textwrap
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,13 +9,12 @@ import pytest
 from hident import plugins
 from hident.config.spec import Of, component
 from hident.engine.comparable import governed
-from hident.engine.experiment import load
 from hident.engine.trial import Data, generate
-from hident.errors import ConfigError
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.nonlinearity import NonlinearityPercentError
 from hident.records import Estimate
 from hident.reports.scoring import scoring
+from tests.unit import plans
 
 plugins.load()
 
@@ -55,26 +55,12 @@ CURVE = "{kind: nonlinearity_percent_error, interval: [-1, 1]}"
 
 @pytest.fixture
 def plan_of(tmp_path):
-    def plan_of(text):
-        path = tmp_path / "a.yaml"
-        path.write_text(text)
-        return load(path)
-
-    return plan_of
+    return partial(plans.planned, tmp_path)
 
 
 @pytest.fixture
-def refusals(plan_of):
-    """The lines of the message; none if the configuration is sound."""
-
-    def refusals(text):
-        try:
-            plan_of(text)
-        except ConfigError as error:
-            return str(error).splitlines()
-        return []
-
-    return refusals
+def refusals(tmp_path):
+    return partial(plans.refusals, tmp_path)
 
 
 def discrete(system, estimator, metric=CURVE):
@@ -90,7 +76,7 @@ def hammerstein(b, nonlinearity="{kind: polynomial, coefficients: [0, 1, 0.5]}")
 
 
 def continuous(system, estimator, metric=CURVE):
-    return CONTINUOUS.replace("SYSTEM", system).replace("ESTIMATOR", estimator).replace("METRIC", metric)
+    return plans.replaced(CONTINUOUS, {"SYSTEM": system, "ESTIMATOR": estimator, "METRIC": metric})
 
 
 def test_another_split_of_the_gain_is_refused_with_the_remedy(refusals):

@@ -1,5 +1,6 @@
 import copy
 import json
+from functools import partial
 
 import pytest
 import yaml
@@ -10,6 +11,7 @@ from hident import plugins
 from hident.engine.experiment import load
 from hident.errors import ConfigError
 from tests.unit.counted_calls import counted_calls
+from tests.unit.plans import refusals
 
 BASE = """\
 version: 1
@@ -47,14 +49,8 @@ def write(tmp_path):
 
 
 @pytest.fixture
-def refused(write, tmp_path):
-    def refused(text, *assignments, **options):
-        """The lines of the message, with the folder left out."""
-        with pytest.raises(ConfigError) as caught:
-            load(write(text), assignments, options)
-        return str(caught.value).replace(f"{tmp_path}/", "").splitlines()
-
-    return refused
+def refused(tmp_path):
+    return partial(refusals, tmp_path)
 
 
 def with_(*replacements, more=""):

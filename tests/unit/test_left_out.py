@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from hident import plugins
 from hident.commands import export
 from hident.engine.executors import SerialExecutor
-from hident.engine.experiment import Plan, load
+from hident.engine.experiment import Plan
 from hident.engine.runner import run
 from hident.engine.store import Store
 from hident.errors import ConfigError
 from hident.ledger.accept import accept
 from hident.ledger.published import check_published
 from hident.reports.output import check, write
+from tests.unit.plans import planned
 
 CONFIG = """\
 version: 1
@@ -63,22 +63,18 @@ published:
 
 @pytest.fixture
 def plan(tmp_path: Path):
-    plugins.load()
-
-    def planned(text: str = CONFIG, *assignments: str, **options: int) -> Plan:
-        path = tmp_path / "a.yaml"
-        path.write_text(text)
+    def plan(text: str = CONFIG, *assignments: str, **options: int) -> Plan:
         paper = tmp_path / "experiments" / "someone2001"
         paper.mkdir(parents=True, exist_ok=True)
         (paper / "published.csv").write_text(
             "table,row,quantity,printed,note\nT,iid 60,e,0.1,\nT,iid 120,e,0.1,\n"
         )
-        found = load(path, assignments, options)
+        found = planned(tmp_path, text, *assignments, **options)
         check_published(found)
         check(found)
         return found
 
-    return planned
+    return plan
 
 
 @pytest.fixture

@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 
 from hident import plugins
 from hident.config.spec import Of
-from hident.engine.experiment import load
 from hident.engine.trial import Data, generate, run_trials
-from hident.errors import ConfigError, EstimationError, SimulationError
+from hident.errors import EstimationError, SimulationError
 from hident.metrics.disturbance import DisturbanceVariance
 from hident.metrics.frequency import MovedDelay, ResponseError
 from hident.metrics.models import LinearPercentError, discretised_percent_error, fit_error
@@ -17,6 +16,7 @@ from hident.records import Estimate, Held, Part, Record, Truth
 from hident.systems.base import SystemSpec
 from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.linear import TransferFunction
+from tests.unit.plans import planned, refusals, replaced
 
 plugins.load()
 QUICK = settings(deadline=None, derandomize=True, max_examples=30)
@@ -75,24 +75,18 @@ metrics:
 @pytest.fixture
 def plan_of(tmp_path):
     def plan_of(text=BASE, **changes):
-        for name, value in (DEFAULTS | changes).items():
-            text = text.replace(name, value)
-        path = tmp_path / "a.yaml"
-        path.write_text(text)
-        return load(path)
+        return planned(tmp_path, replaced(text, DEFAULTS | changes))
 
     return plan_of
 
 
 @pytest.fixture
-def refused(plan_of):
+def refused(tmp_path):
     def refused(text=BASE, **changes):
-        try:
-            plan_of(text, **changes)
-        except ConfigError as error:
-            (line,) = str(error).splitlines()
-            return line.partition(": ")[2]
-        return None
+        """The one thing that is wrong, without its place; None if nothing is."""
+        lines = refusals(tmp_path, replaced(text, DEFAULTS | changes))
+        assert len(lines) <= 1
+        return lines[0].partition(": ")[2] if lines else None
 
     return refused
 
@@ -162,16 +156,15 @@ class TestZeroTruths:
             fit_error(np.zeros(5), np.full(5, 0.3))
 
     def test_a_disturbance_needs_a_first_coefficient_of_one(self, tmp_path):
-        path = tmp_path / "a.yaml"
-        path.write_text(
+        (line,) = refusals(
+            tmp_path,
             "version: 1\ntitle: t\ntrials: 1\nsamples: 50\n"
             "system: {kind: hammerstein, nonlinearity: identity, linear: {kind: ar, a: [0.5], b0: 2}}\n"
             "excitation: {kind: iid, distribution: gaussian, std: 1}\n"
             "estimators: {e: {kind: least_squares, order: 1}}\n"
-            "metrics: {m: {kind: disturbance_variance}}\n"
+            "metrics: {m: {kind: disturbance_variance}}\n",
         )
-        with pytest.raises(ConfigError, match="holds where gamma_0 = 1, and the system has 2"):
-            load(path)
+        assert "holds where gamma_0 = 1, and the system has 2" in line
         assert DisturbanceVariance(filtered=True).compares() == {"linear"}
 
 

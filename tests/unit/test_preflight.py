@@ -5,10 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from hident import plugins
-from hident.engine.experiment import load
 from hident.engine.preflight import check_records
 from hident.errors import ConfigError
+from tests.unit.plans import planned, refusals
 
 CONFIG = """\
 version: 1
@@ -31,10 +30,7 @@ BOUND = "other: {kind: cramer_rao, lags: 2, degree: 2, variance: 1}"
 
 
 def plan(folder: Path, excitation: str, *, system: str = "hammerstein", other: str = BOUND):
-    plugins.load()
-    path = folder / "c.yaml"
-    path.write_text(CONFIG.format(excitation=excitation, system=system, other=other))
-    return load(path)
+    return planned(folder, CONFIG.format(excitation=excitation, system=system, other=other))
 
 
 def test_an_irregular_input_passes(tmp_path):
@@ -56,9 +52,9 @@ def test_a_poor_input_is_refused_with_its_line(tmp_path, excitation, message):
         check_records(plan(tmp_path, excitation))
     first, second = str(caught.value).splitlines()
     assert first.startswith(
-        f"{tmp_path}/c.yaml:11: estimators.tsa: the input cannot tell the parameters apart: "
+        f"{tmp_path}/a.yaml:11: estimators.tsa: the input cannot tell the parameters apart: "
     )
-    assert second.startswith(f"{tmp_path}/c.yaml:12: estimators.other: ")
+    assert second.startswith(f"{tmp_path}/a.yaml:12: estimators.other: ")
     assert message in first
 
 
@@ -70,14 +66,12 @@ def test_a_bound_needs_a_system_with_its_parts(tmp_path):
         "  linear: {{kind: fir, b: [0, 1, 2]}}",
         "  input_linear: {{kind: fir, b: [1]}}\n  output_linear: {{kind: fir, b: [1]}}",
     )
-    path = tmp_path / "wh.yaml"
-    path.write_text(wh.format(excitation="{kind: prbs, order: 3}", system="wiener_hammerstein", other=BOUND))
-    with pytest.raises(
-        ConfigError,
-        match=r"estimators.other: the estimator 'cramer_rao' needs the linear of the system, which "
-        r"'wiener_hammerstein' does not have \(it has: ",
-    ):
-        load(path)
+    text = wh.format(excitation="{kind: prbs, order: 3}", system="wiener_hammerstein", other=BOUND)
+    (line,) = refusals(tmp_path, text)
+    assert (
+        "estimators.other: the estimator 'cramer_rao' needs the linear of the system, which "
+        "'wiener_hammerstein' does not have (it has: "
+    ) in line
 
 
 HAMMERSTEIN = """\
@@ -148,10 +142,7 @@ UNSUITABLE = [
 
 
 def continuous_plan(folder: Path, **changes):
-    plugins.load()
-    path = folder / "c.yaml"
-    path.write_text(HAMMERSTEIN.format(**{**SUITABLE, **changes}))
-    return load(path)
+    return planned(folder, HAMMERSTEIN.format(**{**SUITABLE, **changes}))
 
 
 def test_partition_points_inside_the_inputs_pass(tmp_path):
@@ -161,7 +152,7 @@ def test_partition_points_inside_the_inputs_pass(tmp_path):
 
 @pytest.mark.parametrize(("changes", "message"), HOPELESS)
 def test_inputs_without_room_for_partition_points_are_refused(tmp_path, changes, message):
-    with pytest.raises(ConfigError, match=rf"^{tmp_path}/c\.yaml:12: estimators\.two stage: {message}$"):
+    with pytest.raises(ConfigError, match=rf"^{tmp_path}/a\.yaml:12: estimators\.two stage: {message}$"):
         check_records(continuous_plan(tmp_path, **changes))
 
 
@@ -169,7 +160,7 @@ def test_inputs_without_room_for_partition_points_are_refused(tmp_path, changes,
 def test_horizons_that_do_not_suit_the_record_are_refused_at_load(tmp_path, changes, message):
     with pytest.raises(ConfigError) as caught:
         continuous_plan(tmp_path, **changes)
-    assert str(caught.value) == f"{tmp_path}/c.yaml:12: estimators.two stage: {message} (under 'first')"
+    assert str(caught.value) == f"{tmp_path}/a.yaml:12: estimators.two stage: {message} (under 'first')"
 
 
 def test_the_program_ends_with_code_2_before_any_trial(lab):
@@ -262,7 +253,7 @@ def test_simulations_that_fail_are_failed_trials_and_no_reason_to_refuse(lab):
 def test_delays_and_horizons_of_every_stage_are_held_against_the_record(tmp_path, changes, message):
     with pytest.raises(ConfigError) as caught:
         continuous_plan(tmp_path, **changes)
-    assert str(caught.value) == f"{tmp_path}/c.yaml:12: estimators.two stage: {message}"
+    assert str(caught.value) == f"{tmp_path}/a.yaml:12: estimators.two stage: {message}"
 
 
 @pytest.mark.parametrize(
@@ -289,4 +280,4 @@ def test_delays_and_horizons_of_every_stage_are_held_against_the_record(tmp_path
 def test_words_for_numbers_are_told_where_a_search_is(tmp_path, changes, message):
     with pytest.raises(ConfigError) as caught:
         continuous_plan(tmp_path, **changes)
-    assert str(caught.value) == f"{tmp_path}/c.yaml:{message}"
+    assert str(caught.value) == f"{tmp_path}/a.yaml:{message}"

@@ -2,11 +2,9 @@
 
 import pytest
 
-from hident.engine.experiment import load
 from hident.engine.run_files import OWN
-from hident.errors import ConfigError
-from hident.plugins import load as load_plugins
 from hident.reports.output import state
+from tests.unit.plans import planned, refusals
 
 CONFIG = """\
 version: 1
@@ -22,20 +20,16 @@ RATE = "{kind: rate, title: Slopes, axis: samples, metric: mise, estimators: [k]
 CURVE = "{kind: curve, x: samples, metric: mise, x_label: N, y_label: MISE}"
 
 
-def written(folder, tables=(), figures=()):
-    load_plugins()
+def config(tables=(), figures=()):
     text = CONFIG
     for section, names, spec in (("tables", tables, RATE), ("figures", figures, CURVE)):
         if names:
             text += f"{section}:\n" + "".join(f"  {name}: {spec}\n" for name in names)
-    (folder / "a.yaml").write_text(text)
-    return folder / "a.yaml"
+    return text
 
 
 def refused(folder, **names):
-    with pytest.raises(ConfigError) as caught:
-        load(written(folder, **names))
-    return str(caught.value).replace(f"{folder}/", "").splitlines()
+    return refusals(folder, config(**names))
 
 
 @pytest.mark.parametrize(
@@ -52,6 +46,13 @@ def refused(folder, **names):
 def test_a_table_named_as_a_file_of_every_run_is_refused(tmp_path, name, file):
     assert refused(tmp_path, tables=[name]) == [
         f"a.yaml:10: tables.{name}: the name '{name}' is kept for {file}, which a run writes itself"
+    ]
+
+
+def test_a_table_named_as_the_file_that_accept_writes_beside_those_of_a_run_is_refused(tmp_path):
+    assert refused(tmp_path, tables=["sensitivity"]) == [
+        "a.yaml:10: tables.sensitivity: the name 'sensitivity' is kept for sensitivity.csv, which accept "
+        "writes itself"
     ]
 
 
@@ -76,8 +77,9 @@ def test_a_name_that_is_too_long_for_a_file_is_refused(tmp_path):
 
 
 def test_names_of_a_table_and_a_figure_may_be_one_as_their_files_are_two(tmp_path):
-    plan = load(written(tmp_path, tables=["errors", "console"], figures=["errors", "trials", "table"]))
-    assert list(plan.experiment.figures) == ["errors", "trials", "table"]
+    figures = ["errors", "trials", "table", "sensitivity"]
+    plan = planned(tmp_path, config(tables=["errors", "console"], figures=figures))
+    assert list(plan.experiment.figures) == figures
 
 
 def test_the_names_are_those_that_a_run_writes(lab):

@@ -7,9 +7,8 @@ import pytest
 
 from hident import plugins
 from hident.config.spec import Of, component, components
-from hident.engine.experiment import load
 from hident.engine.preflight import check_records
-from hident.engine.trial import Data, Job, generate, run_trials
+from hident.engine.trial import Data, Job, estimate, generate, run_trials
 from hident.errors import ConfigError, EstimationError
 from hident.estimators.base import EstimatorSpec
 from hident.estimators.bilinear_models.ar_noise import METHODS, ArModel
@@ -19,6 +18,7 @@ from hident.metrics.disturbance import DisturbanceVariance
 from hident.numerics.parts import following, in_each, joined, longer_than, whole
 from hident.records import Estimate, Held, Part, Record
 from hident.systems.linear import TransferFunction
+from tests.unit.plans import planned, replaced
 
 plugins.load()
 
@@ -46,12 +46,8 @@ BASIS = "basis: [{kind: power, exponent: 1}, {kind: power, exponent: 2}], lags: 
 
 
 def plan(folder, estimator, values="b_1, b_2, a_1, a_2", metric="error", changes=()):
-    text = TWO
-    for old, new in (("ESTIMATOR", estimator), ("VALUES", values), ("METRIC", metric), *changes):
-        text = text.replace(old, new)
-    path = folder / "two.yaml"
-    path.write_text(text, encoding="utf-8")
-    return load(path)
+    words = {"ESTIMATOR": estimator, "VALUES": values, "METRIC": metric}
+    return planned(folder, replaced(TWO, words | dict(changes)))
 
 
 def errors(plan):
@@ -306,9 +302,15 @@ def test_an_estimator_that_does_not_say_what_it_does_with_them_is_refused(tmp_pa
     with pytest.raises(ConfigError) as caught:
         check_records(plan(tmp_path, newcomer, "b_1"))
     assert str(caught.value) == (
-        f"{tmp_path}/two.yaml:15: estimators.it: newcomer takes a record of one experiment, and this one has "
+        f"{tmp_path}/a.yaml:15: estimators.it: newcomer takes a record of one experiment, and this one has "
         "2: it does not say that it keeps them apart"
     )
+
+
+def test_a_trial_refuses_them_to_it_too(tmp_path, newcomer):
+    (unit,) = plan(tmp_path, newcomer, "b_1").units
+    with pytest.raises(EstimationError, match=r"^newcomer takes a record of one experiment"):
+        estimate(unit.data, Job(unit.estimator, ()), generate(unit.data, 1, 0), 1, 0)
 
 
 @pytest.mark.parametrize("parts", ["both", "only"])
