@@ -13,7 +13,7 @@ from hident.arrays import Array
 from hident.config.spec import Count, Flag, component
 from hident.engine.experiment import Plan
 from hident.engine.results import Results
-from hident.estimators.moving_horizon.searches import History
+from hident.estimators.convergence import History
 from hident.ledger.verdicts import Verdict
 from hident.metrics.base import MetricSpec
 from hident.records import Estimate

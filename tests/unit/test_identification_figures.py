@@ -15,7 +15,8 @@ from hident.engine.experiment import load
 from hident.engine.results import Results, Series
 from hident.errors import ConfigError, EstimationError, SimulationError
 from hident.estimators.base import EstimatorSpec
-from hident.estimators.moving_horizon.searches import History, PartitionSearch, StructureSearch
+from hident.estimators.convergence import History
+from hident.estimators.moving_horizon.searches import PartitionSearch, StructureSearch
 from hident.ledger.verdicts import judge
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 from hident.records import Estimate, Record, Truth

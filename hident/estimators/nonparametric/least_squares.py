@@ -16,12 +16,9 @@ from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.linear_blocks import TransferFunction
+from hident.numerics.least_squares import Factorisation
 from hident.numerics.parts import Parts, in_each, longer_than, whole
 from hident.records import Estimate, Record
-
-ILL_CONDITIONED = 1e12
-"""Condition number, of columns scaled to length one, from which an estimate counts as singular."""
-
 
 # A residual this small, relative to the output, is rounding.
 _ROUNDING = 1e-12
@@ -107,17 +104,14 @@ def least_squares(y: Array, p: int, parts: Parts | None = None) -> Estimate:
     # Mzyk 2009, eq. (9), (11)
     rows = lagged(y, range(p + 1), p, parts)
     now, phi = rows[0], rows[1:]
-    scale = np.linalg.norm(phi, axis=1)
-    scale[scale == 0.0] = 1.0
-    phi /= scale[:, None]
-    theta, _, _, singular_values = np.linalg.lstsq(phi.T, now, rcond=None)
-    if phi.shape[1] <= p or singular_values[-1] * ILL_CONDITIONED <= singular_values[0]:
+    regression = Factorisation.of(phi.T)
+    if phi.shape[1] <= p or regression.is_dependent:
         raise EstimationError(
             "the past outputs are linearly dependent: the output hardly varies, the record is too short, "
             f"or the order {p} is too high"
         )
-    theta = theta / scale
-    return dynamics(theta[:p], np.ones(1), float(theta[p]), float(singular_values[0] / singular_values[-1]))
+    theta = regression.solution(now)
+    return dynamics(theta[:p], np.ones(1), float(theta[p]), regression.condition)
 
 
 @component("estimator", "least_squares")
