@@ -97,8 +97,8 @@ class Truth:
 class Record:
     """Input and output, float64 of shape (N,), at sampling interval ``dt`` (None: discrete time).
 
-    ``parts`` are the experiments by name, one after the other, where several were made or where it matters
-    what the input is between its samples.
+    ``parts`` are the experiments by name, one after the other, where several were made, where one has a
+    sampling interval of its own, or where it matters what the input is between its samples.
     """
 
     u: Array
