@@ -20,7 +20,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from hident.config.spec import Count, Flag, component
+from hident.config.spec import Count, Flag, NonEmpty, component
 from hident.config.suggest import did_you_mean, one_of
 from hident.metrics.base import MetricSpec, Scored
 from hident.records import Array, Estimate, Periodic, Record, Truth
@@ -269,7 +269,7 @@ class MovedDelay(MetricSpec):
     and counts as zero.
     """
 
-    experiments: Annotated[tuple[str, ...], Field(min_length=1)]
+    experiments: NonEmpty[str]
     """Names of experiments, one number each; a name stands for its series NAME 1, NAME 2, ... too."""
 
     def labels(self, name: str) -> tuple[str, ...]:

@@ -7,14 +7,14 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from pydantic import Field
 
-from hident.config.spec import Flag, Interval, Real, Spec, component
+from hident.config.references import CaseLabels, EstimatorName, Metric, NumericAxis
+from hident.config.spec import Flag, Interval, NonEmpty, Real, Spec, component
 from hident.engine.experiment import Plan, Statistic
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Beside, Verdict, beside
 from hident.records import Array
-from hident.reports.base import FigureSpec, Misfit, Reference, label_references, not_numeric, unscored
+from hident.reports.base import FigureSpec, Misfit, unscored
 from hident.reports.one_trial import OneTrial, OneTrialFigure, Realised, say_failed, true_curve
 from hident.reports.style import DATA, ESTIMATE, LINES, TRUTH, legend_above, subplots
 
@@ -40,9 +40,9 @@ class Slope(Spec):
 class Curve(FigureSpec):
     """A metric against a numeric axis: mean, band of the central 90 % of trials, printed numbers."""
 
-    x: str
+    x: Annotated[str, NumericAxis(positive="log_x")]
     """The axis along the abscissa; its labels are numbers."""
-    metric: str
+    metric: Annotated[str, Metric(scores=("panels",))]
     """Label of the metric."""
     statistic: Statistic = "mean"
     """The statistic drawn as a line."""
@@ -60,21 +60,12 @@ class Curve(FigureSpec):
     """Logarithmic ordinate."""
     slopes: tuple[Slope, ...] = ()
     """Reference lines, each starting at half the height of the first curve."""
-    panels: tuple[Annotated[tuple[str, ...], Field(min_length=1)], ...] = ()
+    panels: tuple[NonEmpty[EstimatorName], ...] = ()
     """Names of estimators for each panel, on common axes; one panel with all by default."""
 
-    def references(self) -> Iterator[Reference]:
-        yield "x", "axis", self.x
-        yield "metric", "metric", self.metric
-        for i, panel in enumerate(self.panels):
-            for j, name in enumerate(panel):
-                yield ("panels", i, j), "estimator", name
-
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        yield from not_numeric(plan, "x", self.x, positive=self.log_x)
-        for i, panel in enumerate(self._panels(plan)):
-            for j, name in enumerate(panel):
-                yield from unscored(plan, ("panels", i, j) if self.panels else "metric", name, self.metric)
+        for name in () if self.panels else plan.experiment.estimators:
+            yield from unscored(plan, ("metric",), name, self.metric)
 
     def _panels(self, plan: Plan) -> tuple[tuple[str, ...], ...]:
         return self.panels or (tuple(plan.experiment.estimators),)
@@ -185,9 +176,9 @@ class Curve(FigureSpec):
 class Realisation(OneTrialFigure):
     """The estimates of one trial against the true characteristic, with the data."""
 
-    at: Annotated[tuple[dict[str, Any], ...], Field(min_length=1)] = ({},)
+    at: NonEmpty[CaseLabels] = ({},)
     """Labels of the cases, one panel for each, e.g. [{samples: 50}, {samples: 500}]."""
-    estimators: Annotated[tuple[str, ...], Field(min_length=1)]
+    estimators: NonEmpty[EstimatorName]
     """Names of the estimators."""
     names: dict[str, str] = {}
     """Symbols of axes for the titles, e.g. {samples: N}."""
@@ -200,19 +191,13 @@ class Realisation(OneTrialFigure):
     y_label: str = "y, μ(u)"
     """Label of the ordinate."""
 
-    def references(self) -> Iterator[Reference]:
-        for i, labels in enumerate(self.at):
-            yield from label_references(("at", i), labels)
-        for i, estimator in enumerate(self.estimators):
-            yield ("estimators", i), "estimator", estimator
-
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         for i, estimator in enumerate(self.estimators):
             unit = next(unit for unit in plan.units if unit.name == estimator)
             if "nonlinearity" not in unit.estimator.provides():
                 yield ("estimators", i), f"the estimator '{estimator}' does not give a nonlinearity"
         if "nonlinearity" not in plan.units[0].data.system.provides():
-            yield "kind", "the system has no true nonlinearity to show"
+            yield ("kind",), "the system has no true nonlinearity to show"
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         rows, columns = len(self.at), len(self.estimators)

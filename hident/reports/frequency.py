@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from pydantic import Field
 
-from hident.config.spec import Count, component
+from hident.config.references import CaseLabels, EstimatorName, Metric, value_of
+from hident.config.spec import Count, NonEmpty, component
 from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
 from hident.engine.trial import generate
@@ -17,7 +19,7 @@ from hident.estimators.frequency.nonlinearity_identification import Nonlinearity
 from hident.ledger.verdicts import Verdict, beside_trials
 from hident.metrics import frequency
 from hident.records import Array, Record
-from hident.reports.base import FigureSpec, Misfit, Reference, Table, TableSpec, label_references, unscored
+from hident.reports.base import FigureSpec, Misfit, Table, TableSpec, unscored
 from hident.reports.one_trial import OneTrial, OneTrialFigure, Shown, list_failures, say_failed
 from hident.reports.style import DATA, LINES, TRUTH, legend_above, panel_grid, subplots
 from hident.reports.tables import LEGEND, SIGNS, intervals
@@ -37,33 +39,23 @@ class AgainstTruth(TableSpec):
 
     row_header: str = "quantity"
     """Heading of the first column."""
-    rows: Annotated[dict[str, str], Field(min_length=1)]
+    rows: Annotated[dict[str, Annotated[str, value_of(), value_of("truth", scores=())]], Field(min_length=1)]
     """Name of the value in each row by its heading, e.g. {"|Gi(jw)|": gain_i_1}."""
     metric: str
     """Name of the metric with the estimates; with a row's value it makes the label, e.g. 'found gain_i_1'."""
     truth: str
     """Name of the metric with the true values, such as one of kind true_response."""
-    estimators: Annotated[dict[str, str], Field(min_length=1)]
+    estimators: Annotated[dict[str, EstimatorName], Field(min_length=1)]
     """Name of the estimator in each column by its heading."""
-    at: dict[str, Any] = {}
+    at: CaseLabels = {}
     """Labels of axes that choose the case; the first case by default."""
     digits: Annotated[Count, Field(ge=1, le=15)] = 3
     """Significant digits of the truth, and decimals of the estimates."""
 
-    def references(self) -> Iterator[Reference]:
-        yield from label_references(("at",), self.at)
-        for heading, estimator in self.estimators.items():
-            yield ("estimators", heading), "estimator", estimator
-        for heading, name in self.rows.items():
-            yield ("rows", heading), "metric", f"{self.metric} {name}"
-            yield ("rows", heading), "metric", f"{self.truth} {name}"
-
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         first = next(iter(self.estimators.values()))
         for name in self.rows.values():
-            yield from unscored(plan, "truth", first, f"{self.truth} {name}")
-            for estimator in self.estimators.values():
-                yield from unscored(plan, "metric", estimator, f"{self.metric} {name}")
+            yield from unscored(plan, ("truth",), first, f"{self.truth} {name}")
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         first = next(iter(self.estimators.values()))
@@ -122,16 +114,13 @@ class Signals(OneTrialFigure):
     y_label: str = "output y"
     """Label of the output, with its unit."""
 
-    def references(self) -> Iterator[Reference]:
-        yield from self.curve.references(("curve",))
-
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         yield from self.curve.misfits(plan, ("curve",), of_truth="blocks")
         data = self.curve.unit(plan).data
         names = [stretch.name for stretch in data.excitation.stretches(data.samples, data.dt or 1.0)]
         if self.experiment not in names:
             known = ", ".join(names)
-            yield "experiment", f"there is no experiment '{self.experiment}' (there are: {known})"
+            yield ("experiment",), f"there is no experiment '{self.experiment}' (there are: {known})"
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         figure, (above, below) = subplots(2, 1, sharex=True, figsize=(5.2, 3.6), height_ratios=(1, 2))
@@ -167,16 +156,12 @@ def _noise_free(record: Record, experiment: str) -> Array:
 class LevelMeans(OneTrialFigure):
     """The true nonlinearity with the mean outputs at the levels of a staircase, and below their errors."""
 
-    curves: Annotated[tuple[Shown, ...], Field(min_length=1)]
+    curves: NonEmpty[Shown]
     """The estimators, of kind nonlinearity_identification; the first one's system gives the truth."""
     x_label: str
     """Label of the abscissa, with its unit."""
     y_label: str
     """Label of the output, with its unit."""
-
-    def references(self) -> Iterator[Reference]:
-        for i, curve in enumerate(self.curves):
-            yield from curve.references(("curves", i))
 
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         for i, curve in enumerate(self.curves):
@@ -222,28 +207,23 @@ class Bode(FigureSpec):
     fewer than half of the trials determine is left out.
     """
 
-    metric: str
+    metric: Annotated[str, Metric(labels=lambda bode, metric: bode.labels())]
     """Name of the metric of kind response that holds gain_i_M, gain_o_M_1, phase_i_M and phase_o_M_1."""
     frequencies: Annotated[Count, Field(ge=2)]
     """Number of frequencies M."""
-    estimators: Annotated[tuple[str, ...], Field(min_length=1)]
+    estimators: NonEmpty[EstimatorName]
     """Names of the estimators."""
     x_label: str
     """Label of the abscissa, with its unit."""
 
-    def references(self) -> Iterator[Reference]:
-        for i, estimator in enumerate(self.estimators):
-            yield ("estimators", i), "estimator", estimator
-        for quantity in ("gain", "phase"):
-            for side in ("i", "o"):
-                for name in self._names(quantity, side):
-                    yield "metric", "metric", f"{self.metric} {name}"
-
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        for i, estimator in enumerate(self.estimators):
-            yield from unscored(plan, ("estimators", i), estimator, f"{self.metric} phase_o_1_1")
         if "blocks" not in plan.units[0].data.system.provides():
-            yield "kind", "the system has no true linear blocks in continuous time"
+            yield ("kind",), "the system has no true linear blocks in continuous time"
+
+    def labels(self) -> Iterator[str]:
+        """The labels of the metric's numbers that it shows."""
+        for quantity, side in itertools.product(("gain", "phase"), ("i", "o")):
+            yield from (f"{self.metric} {name}" for name in self._names(quantity, side))
 
     def _names(self, quantity: str, side: str) -> list[str]:
         harmonic = "_1" if side == "o" else ""

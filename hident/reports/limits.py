@@ -5,25 +5,21 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from pydantic import Field
 
-from hident.config.spec import Flag, Interval, Real, component
+from hident.config.references import CaseLabels, EstimatorName, MetricLabel, NumericAxis, TableName
+from hident.config.spec import Flag, Interval, NonEmpty, Real, component
 from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict
 from hident.reports.base import (
     FigureSpec,
     Misfit,
-    Place,
-    Reference,
     Table,
     TableSpec,
-    label_references,
     not_numeric,
-    unscored,
 )
 from hident.reports.one_trial import true_curve
 from hident.reports.style import LINES, panel_grid
@@ -62,41 +58,28 @@ class Limit(TableSpec):
     infinite, so that a method cannot gain by failing.
     """
 
-    x: str
+    x: Annotated[str, NumericAxis()]
     """The axis that goes down; its labels are numbers."""
-    along: str
+    along: Annotated[str, NumericAxis()]
     """The axis whose largest label is sought; its labels are numbers."""
-    metric: str
+    metric: MetricLabel
     """Label of the metric."""
     below: Real
     """The limit of the metric's median."""
-    estimators: Annotated[tuple[str, ...], Field(min_length=1)]
+    estimators: NonEmpty[EstimatorName]
     """Names of the estimators, one column each."""
-    at: dict[str, Any] = {}
+    at: CaseLabels = {}
     """Labels of the other axes; the first ones by default."""
 
-    def references(self) -> Iterator[Reference]:
-        yield "x", "axis", self.x
-        yield "along", "axis", self.along
-        yield "metric", "metric", self.metric
-        for i, estimator in enumerate(self.estimators):
-            yield ("estimators", i), "estimator", estimator
-        yield from label_references(("at",), self.at)
-
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        yield from not_numeric(plan, "x", self.x, positive=False)
-        yield from not_numeric(plan, "along", self.along, positive=False)
-        for i, estimator in enumerate(self.estimators):
-            yield from unscored(plan, ("estimators", i), estimator, self.metric)
-            yield from self._gaps(plan, ("estimators", i), estimator)
-
-    def _gaps(self, plan: Plan, place: Place, estimator: str) -> Iterator[Misfit]:
-        """A misfit for each case in which the estimator is left out, as no limit reaches beyond it."""
         labels = {axis.name: axis.labels for axis in plan.axes}
-        for x, far in itertools.product(labels[self.x], labels[self.along]):
-            at = {**self.at, self.x: x, self.along: far}
-            if not any(unit.name == estimator and unit.is_at(at) for unit in plan.units):
-                yield place, f"the estimator '{estimator}' is left out at {self.x} {x}, {self.along} {far}"
+        for i, estimator in enumerate(self.estimators):
+            # No limit reaches beyond a case in which the estimator is left out.
+            for x, far in itertools.product(labels[self.x], labels[self.along]):
+                at = {**self.at, self.x: x, self.along: far}
+                if not any(unit.name == estimator and unit.is_at(at) for unit in plan.units):
+                    message = f"the estimator '{estimator}' is left out at {self.x} {x}, {self.along} {far}"
+                    yield ("estimators", i), message
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         import pandas as pd
@@ -145,7 +128,7 @@ class LimitFigure(FigureSpec):
     A first panel shows the true characteristic at each label where an interval is given.
     """
 
-    table: str
+    table: TableName
     """Name of the table of kind limit that it draws."""
     x_label: str
     """Label of the abscissa."""
@@ -158,18 +141,15 @@ class LimitFigure(FigureSpec):
     characteristic_labels: tuple[str, str] = ("x", "y")
     """Labels of that panel's abscissa and ordinate."""
 
-    def references(self) -> Iterator[Reference]:
-        yield "table", "table", self.table
-
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         source = plan.experiment.tables[self.table]
         if not isinstance(source, Limit):
-            yield "table", f"the table '{self.table}' must be of kind limit, not {source.kind}"
+            yield ("table",), f"the table '{self.table}' must be of kind limit, not {source.kind}"
             return
-        yield from not_numeric(plan, "table", source.x, positive=self.log_x)
+        yield from ((("table",), said) for said in not_numeric(plan, source.x, positive=self.log_x))
         if self.interval is not None and "nonlinearity" not in plan.units[0].data.system.provides():
             yield (
-                "interval",
+                ("interval",),
                 f"the system '{plan.units[0].data.system.kind}' has no true nonlinearity to show",
             )
 

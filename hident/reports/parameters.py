@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from pydantic import Field
 
-from hident.config.spec import Count, Flag, component
+from hident.config.references import EstimatorName, NumericAxis, TableName, ValueName, value_of
+from hident.config.spec import Count, Flag, NonEmpty, component
 from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside
@@ -16,11 +17,8 @@ from hident.records import Array
 from hident.reports.base import (
     FigureSpec,
     Misfit,
-    Reference,
     Table,
     TableSpec,
-    not_numeric,
-    unscored,
 )
 from hident.reports.style import LINES, TRUTH, subplots, symbol
 from hident.reports.tables import LEGEND, SIGNS, intervals
@@ -40,25 +38,14 @@ class Parameters(TableSpec):
 
     metric: str
     """Name of the metric of kind value."""
-    of: Annotated[tuple[str, ...], Field(min_length=1)]
+    of: NonEmpty[ValueName]
     """Names of the values, one row each."""
-    mean_only: tuple[str, ...] = ()
+    mean_only: tuple[ValueName, ...] = ()
     """Names of values whose standard deviation the paper does not print, such as a loss."""
-    estimators: Annotated[tuple[str, ...], Field(min_length=1)]
+    estimators: NonEmpty[EstimatorName]
     """Names of the estimators, one column each."""
     decimals: Annotated[Count, Field(ge=0, le=15)] = 4
     """Decimals."""
-
-    def references(self) -> Iterator[Reference]:
-        for i, estimator in enumerate(self.estimators):
-            yield ("estimators", i), "estimator", estimator
-        for name in (*self.of, *self.mean_only):
-            yield "of", "metric", f"{self.metric} {name}"
-
-    def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        for i, estimator in enumerate(self.estimators):
-            for name in (*self.of, *self.mean_only):
-                yield from unscored(plan, ("estimators", i), estimator, f"{self.metric} {name}")
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         printed = beside(verdicts)
@@ -99,27 +86,14 @@ class Efficiency(TableSpec):
 
     metric: str
     """Name of the metric of kind error."""
-    of: Annotated[tuple[str, ...], Field(min_length=1)]
+    of: NonEmpty[Annotated[str, value_of(), value_of("bound_metric", "se_", scores=("bound",))]]
     """Names of the parameters, one column each."""
-    estimators: Annotated[tuple[str, ...], Field(min_length=1)]
+    estimators: NonEmpty[EstimatorName]
     """Names of the estimators."""
-    bound: str
+    bound: EstimatorName
     """Name of the estimator of kind cramer_rao."""
     bound_metric: str
     """Name of the metric of kind value that holds its se_ values."""
-
-    def references(self) -> Iterator[Reference]:
-        for estimator in (*self.estimators, self.bound):
-            yield "estimators", "estimator", estimator
-        for name in self.of:
-            yield "of", "metric", f"{self.metric} {name}"
-            yield "of", "metric", f"{self.bound_metric} se_{name}"
-
-    def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        for name in self.of:
-            yield from unscored(plan, "bound", self.bound, f"{self.bound_metric} se_{name}")
-            for i, estimator in enumerate(self.estimators):
-                yield from unscored(plan, ("estimators", i), estimator, f"{self.metric} {name}")
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         import pandas as pd
@@ -165,21 +139,10 @@ class ParameterFigure(FigureSpec):
 
     metric: str
     """Name of the metric of kind value."""
-    of: Annotated[tuple[str, ...], Field(min_length=1)]
+    of: NonEmpty[ValueName]
     """Names of the values, one panel each."""
-    estimators: Annotated[tuple[str, ...], Field(min_length=1)]
+    estimators: NonEmpty[EstimatorName]
     """Names of the estimators."""
-
-    def references(self) -> Iterator[Reference]:
-        for i, estimator in enumerate(self.estimators):
-            yield ("estimators", i), "estimator", estimator
-        for name in self.of:
-            yield "of", "metric", f"{self.metric} {name}"
-
-    def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        for name in self.of:
-            for i, estimator in enumerate(self.estimators):
-                yield from unscored(plan, ("estimators", i), estimator, f"{self.metric} {name}")
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         theirs = {at: verdict.printed.value for at, verdict in beside(verdicts).items()}
@@ -219,25 +182,14 @@ class Gain(FigureSpec):
 
     metric: str
     """Name of the metric of kind value."""
-    of: Annotated[tuple[str, ...], Field(min_length=1)]
+    of: NonEmpty[Annotated[str, value_of(scores=("reference", "estimator"))]]
     """Names of the values."""
-    reference: str
+    reference: EstimatorName
     """Name of the estimator in the numerator."""
-    estimator: str
+    estimator: EstimatorName
     """Name of the estimator in the denominator."""
     y_label: str
     """Label of the ordinate."""
-
-    def references(self) -> Iterator[Reference]:
-        yield "reference", "estimator", self.reference
-        yield "estimator", "estimator", self.estimator
-        for name in self.of:
-            yield "of", "metric", f"{self.metric} {name}"
-
-    def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        for name in self.of:
-            yield from unscored(plan, "reference", self.reference, f"{self.metric} {name}")
-            yield from unscored(plan, "estimator", self.estimator, f"{self.metric} {name}")
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         figure, axes = subplots(figsize=(4.6, 3.0))
@@ -274,28 +226,23 @@ class Gain(FigureSpec):
 class EfficiencyFigure(FigureSpec):
     """Efficiency against a numeric axis: one panel for each parameter, one curve for each estimator."""
 
-    x: str
+    x: Annotated[str, NumericAxis()]
     """The axis along the abscissa."""
-    table: str
+    table: TableName
     """Name of the table of kind efficiency that it draws."""
-    of: Annotated[tuple[str, ...], Field(min_length=1)]
+    of: NonEmpty[str]
     """Names of the parameters, one panel each."""
     x_label: str
     """Label of the abscissa, with its unit."""
     log_y: Flag = True
     """Logarithmic ordinate."""
 
-    def references(self) -> Iterator[Reference]:
-        yield "x", "axis", self.x
-        yield "table", "table", self.table
-
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        yield from not_numeric(plan, "x", self.x, positive=False)
         source = plan.experiment.tables[self.table]
         if not isinstance(source, Efficiency):
-            yield "table", f"the table '{self.table}' must be of kind efficiency, not {source.kind}"
+            yield ("table",), f"the table '{self.table}' must be of kind efficiency, not {source.kind}"
         elif unknown := [name for name in self.of if name not in source.of]:
-            yield "of", f"the table '{self.table}' does not hold {', '.join(unknown)}"
+            yield ("of",), f"the table '{self.table}' does not hold {', '.join(unknown)}"
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         source = results.plan.experiment.tables[self.table]

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from hident.config.spec import Count, Interval, Spec, component
+from hident.config.spec import Count, Interval, NonEmpty, Spec, component
+from hident.config.yaml12 import Location
 from hident.engine.experiment import Plan
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
 from hident.records import Array, Estimate
-from hident.reports.base import Misfit, Place, Reference
+from hident.reports.base import Misfit
 from hident.reports.one_trial import (
     Offset,
     OneTrial,
@@ -71,7 +72,7 @@ class StaticPanel(Spec):
 
     title: str = ""
     """Title of the panel."""
-    curves: Annotated[tuple[StaticCurve, ...], Field(min_length=1)]
+    curves: NonEmpty[StaticCurve]
     """The estimates; the first one's system gives the truth."""
     interval: Interval
     """Range of the abscissa, as shown."""
@@ -84,12 +85,7 @@ class StaticPanel(Spec):
     partition: Literal["input", "output"] | None = None
     """Mark the partition points on the abscissa (input: u_-1, u_1) or the ordinate (output: y_-1, y_1)."""
 
-    def references(self, place: Place) -> Iterator[Reference]:
-        """The names that it refers to; it stands at the place."""
-        for i, curve in enumerate(self.curves):
-            yield from curve.references((*place, "curves", i))
-
-    def misfits(self, plan: Plan, place: Place) -> Iterator[Misfit]:
+    def misfits(self, plan: Plan, place: Location) -> Iterator[Misfit]:
         """What cannot be shown of this plan."""
         first = {"of_truth": "nonlinearity"}
         for i, curve in enumerate(self.curves):
@@ -114,7 +110,7 @@ class StaticPanel(Spec):
 class StaticFit(OneTrialFigure):
     """The true characteristic and the estimates of one trial, with the points that they rest on."""
 
-    panels: Annotated[tuple[StaticPanel, ...], Field(min_length=1)]
+    panels: NonEmpty[StaticPanel]
     """The panels."""
     x_label: str
     """Label of the abscissa, with its unit."""
@@ -122,10 +118,6 @@ class StaticFit(OneTrialFigure):
     """Label of the ordinate, with its unit."""
     columns: Annotated[Count, Field(ge=1)] = 2
     """Panels in a row."""
-
-    def references(self) -> Iterator[Reference]:
-        for i, panel in enumerate(self.panels):
-            yield from panel.references(("panels", i))
 
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         for i, panel in enumerate(self.panels):

@@ -10,12 +10,13 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from hident.config.spec import Count, Flag, Real, Spec, component
-from hident.engine.experiment import Label, Plan, Statistic
+from hident.config.references import AxisName, EstimatorName, MetricLabel, NumericAxis
+from hident.config.spec import Count, Flag, NonEmpty, Real, Spec, component
+from hident.engine.experiment import Label, Statistic
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside
 from hident.records import Array
-from hident.reports.base import Misfit, Reference, Table, TableSpec, not_numeric, unscored
+from hident.reports.base import Table, TableSpec
 
 SIGNS = {"exact": "=", "agrees": "~", "differs": "!"}
 LEGEND = (
@@ -43,9 +44,9 @@ def _decimals(value: float, digits: int) -> int:
 class Column(Spec):
     """One column of a grid."""
 
-    estimator: str
+    estimator: EstimatorName
     """Name of the estimator."""
-    metric: str
+    metric: MetricLabel
     """Label of the metric."""
     header: str | None = None
     """Heading; the estimator's name by default."""
@@ -57,26 +58,16 @@ class Column(Spec):
 class Grid(TableSpec):
     """One row for each label of an axis, one column for each estimator, printed numbers beside ours."""
 
-    rows: str
+    rows: AxisName
     """The axis that goes down."""
     row_header: str | None = None
     """Heading of the first column; the axis by default."""
-    columns: Annotated[tuple[Column, ...], Field(min_length=1)]
+    columns: NonEmpty[Column]
     """What goes across."""
     printed: Flag = True
     """Show the printed numbers beside ours."""
     digits: Annotated[Count, Field(ge=1, le=15)] = 3
     """Significant digits."""
-
-    def references(self) -> Iterator[Reference]:
-        yield "rows", "axis", self.rows
-        for i, column in enumerate(self.columns):
-            yield ("columns", i, "estimator"), "estimator", column.estimator
-            yield ("columns", i, "metric"), "metric", column.metric
-
-    def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        for i, column in enumerate(self.columns):
-            yield from unscored(plan, ("columns", i, "metric"), column.estimator, column.metric)
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         printed_at = beside(verdicts)
@@ -156,11 +147,11 @@ def _why(reasons: Sequence[tuple[str, int]]) -> str:
 class Rate(TableSpec):
     """Slopes of log statistic against log axis, by weighted least squares, with standard errors."""
 
-    axis: str
+    axis: Annotated[str, NumericAxis(positive=True, least=2)]
     """The axis whose labels are numbers, e.g. samples."""
-    metric: str
+    metric: MetricLabel
     """Label of the metric."""
-    estimators: Annotated[tuple[str, ...], Field(min_length=1)]
+    estimators: NonEmpty[EstimatorName]
     """Names of the estimators."""
     statistic: Statistic = "mean"
     """The statistic whose rate is sought."""
@@ -168,17 +159,6 @@ class Rate(TableSpec):
     """Take the square root first, as for the mean of a squared error."""
     expected: Real | None = None
     """The slope that theory gives."""
-
-    def references(self) -> Iterator[Reference]:
-        yield "axis", "axis", self.axis
-        yield "metric", "metric", self.metric
-        for i, estimator in enumerate(self.estimators):
-            yield ("estimators", i), "estimator", estimator
-
-    def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        yield from not_numeric(plan, "axis", self.axis, positive=True, least=2)
-        for i, estimator in enumerate(self.estimators):
-            yield from unscored(plan, ("estimators", i), estimator, self.metric)
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         import pandas as pd

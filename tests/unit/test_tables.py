@@ -167,7 +167,7 @@ def test_a_distance_needs_its_printed_numbers(tmp_path, kind):
     ]
     homeless = replace(plan, experiment=plan.experiment.model_copy(update={"paper": None}))
     assert list(spec.misfits(homeless)) == [
-        ("cells", "needs 'paper', the folder under experiments/ with the numbers")
+        (("cells",), "needs 'paper', the folder under experiments/ with the numbers")
     ]
 
 
