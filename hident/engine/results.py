@@ -87,7 +87,7 @@ def statistics(values: Array) -> dict[str, float]:
         "std": std,
         "se": std / len(valid) ** 0.5,
         "median": float(np.median(valid)),
-        **{name: float(np.quantile(valid, q)) for name, q in QUANTILES.items()},
+        **dict(zip(QUANTILES, np.quantile(valid, [*QUANTILES.values()]).tolist(), strict=True)),
     }
 
 
