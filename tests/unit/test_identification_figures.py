@@ -17,12 +17,12 @@ from hident.estimators.base import EstimatorSpec
 from hident.estimators.moving_horizon.searches import History, PartitionSearch, StructureSearch
 from hident.ledger.verdicts import judge
 from hident.records import Array, Estimate, Record, Truth
-from hident.reports.convergence import iterates
-from hident.reports.distributions import percentile
+from hident.reports.one_trial.convergence import iterates
+from hident.reports.one_trial.searches import contour_levels
+from hident.reports.one_trial.static_fits import StaticCurve
 from hident.reports.output import check
-from hident.reports.searches import contour_levels
-from hident.reports.static_fits import StaticCurve
 from hident.reports.style import style
+from hident.reports.tables.distributions import percentile
 from hident.systems.base import SystemSpec
 from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.linear import TransferFunction

@@ -14,7 +14,7 @@ from hident.engine.results import Results
 from hident.estimators.moving_horizon.searches import PartitionSearch, StructureSearch
 from hident.ledger.verdicts import Verdict
 from hident.records import Array
-from hident.reports.one_trial import NOTE, OneTrial, OneTrialFigure, Shown, say_failed
+from hident.reports.one_trial.base import NOTE, OneTrial, OneTrialFigure, Shown, say_failed
 from hident.reports.style import LINES, legend_above, panel_grid
 
 if TYPE_CHECKING:

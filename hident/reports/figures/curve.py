@@ -15,7 +15,7 @@ from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Beside, Verdict, beside
 from hident.records import Array
 from hident.reports.base import FigureSpec, Misfit, unscored
-from hident.reports.one_trial import OneTrial, OneTrialFigure, Realised, say_failed, true_curve
+from hident.reports.one_trial.base import OneTrial, OneTrialFigure, Realised, say_failed, true_curve
 from hident.reports.style import DATA, ESTIMATE, LINES, TRUTH, legend_above, subplots
 
 if TYPE_CHECKING:

@@ -20,9 +20,9 @@ from hident.ledger.verdicts import Verdict, beside_trials
 from hident.metrics import frequency
 from hident.records import Array, Record
 from hident.reports.base import FigureSpec, Misfit, Table, TableSpec, unscored
-from hident.reports.one_trial import OneTrial, OneTrialFigure, Shown, list_failures, say_failed
+from hident.reports.one_trial.base import OneTrial, OneTrialFigure, Shown, list_failures, say_failed
 from hident.reports.style import DATA, LINES, TRUTH, legend_above, panel_grid, subplots
-from hident.reports.tables import LEGEND, SIGNS, intervals
+from hident.reports.tables.grid import LEGEND, SIGNS, intervals
 from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.continuous_wiener_hammerstein import respond
 

@@ -21,7 +21,7 @@ from hident.reports.base import (
     TableSpec,
 )
 from hident.reports.style import LINES, TRUTH, subplots, symbol
-from hident.reports.tables import LEGEND, SIGNS, intervals
+from hident.reports.tables.grid import LEGEND, SIGNS, intervals
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

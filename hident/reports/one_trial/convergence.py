@@ -16,7 +16,7 @@ from hident.estimators.moving_horizon.searches import History
 from hident.ledger.verdicts import Verdict
 from hident.metrics.base import MetricSpec
 from hident.records import Array, Estimate
-from hident.reports.one_trial import OneTrial, OneTrialFigure, Realised, Shown, list_failures
+from hident.reports.one_trial.base import OneTrial, OneTrialFigure, Realised, Shown, list_failures
 from hident.reports.style import TRUTH, legend_above, looks, panel_grid, symbol
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
 from hident.records import Array, Estimate
 from hident.reports.base import Misfit
-from hident.reports.one_trial import (
+from hident.reports.one_trial.base import (
     Offset,
     OneTrial,
     OneTrialFigure,

@@ -21,7 +21,7 @@ from hident.reports.base import (
     TableSpec,
     not_numeric,
 )
-from hident.reports.one_trial import true_curve
+from hident.reports.one_trial.base import true_curve
 from hident.reports.style import LINES, panel_grid
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from hident.metrics.models import fit_error, has_stable_block, validation_input
 from hident.numerics.rounding import is_constant
 from hident.records import Array, Response
 from hident.reports.base import Misfit
-from hident.reports.one_trial import (
+from hident.reports.one_trial.base import (
     Offset,
     OneTrial,
     OneTrialFigure,
