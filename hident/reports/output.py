@@ -30,7 +30,7 @@ from hident.ledger.verdicts import Verdict, frame, judge
 from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, misfits
 from hident.reports.scoring import scoring
 from hident.reports.style import style
-from hident.reports.tables.grid import failures, written
+from hident.reports.tables.writing import failures, written
 
 State = Literal["none", "old", "altered", "up to date"]
 _PACKAGES = ("numpy", "scipy", "finufft", "pandas", "matplotlib", "pydantic")

@@ -7,7 +7,7 @@ import pytest
 
 from hident.ledger.verdicts import judge
 from hident.reports.base import Table, TableSpec
-from hident.reports.tables.grid import written
+from hident.reports.tables.writing import written
 from tests.unit.results_maker import PUBLISHED, made
 
 GRID = """

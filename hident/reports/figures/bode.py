@@ -1,4 +1,4 @@
-"""Estimates beside truth and print, the signals of an experiment, and Bode diagrams of two linear blocks."""
+"""Bode diagrams of two linear blocks."""
 
 from __future__ import annotations
 
@@ -9,194 +9,22 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from pydantic import Field
 
-from hident.config.references import CaseLabels, EstimatorName, Metric, value_of
+from hident.config.references import EstimatorName, Metric
 from hident.config.spec import Count, NonEmpty, component
 from hident.engine.experiment import Plan
-from hident.engine.results import Results, Series
-from hident.engine.trial import generate
-from hident.errors import SimulationError
-from hident.estimators.frequency.nonlinearity_identification import NonlinearityIdentification
-from hident.ledger.verdicts import Verdict, beside_trials
+from hident.engine.results import Results
+from hident.ledger.verdicts import Verdict
 from hident.metrics import frequency
-from hident.records import Array, Record
-from hident.reports.base import FigureSpec, Misfit, Table, TableSpec, unscored
-from hident.reports.one_trial.base import OneTrial, OneTrialFigure, Shown, list_failures, say_failed
-from hident.reports.style import DATA, LINES, TRUTH, legend_above, panel_grid, subplots
-from hident.reports.tables.grid import LEGEND, SIGNS, intervals
+from hident.records import Array
+from hident.reports.base import FigureSpec, Misfit
+from hident.reports.style import LINES, TRUTH, legend_above, panel_grid
 from hident.systems.continuous import ContinuousTransferFunction
-from hident.systems.continuous_wiener_hammerstein import respond
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _POINTS = 400
-
-
-@component("table", "against_truth", source="Brouri, eq. (46)")
-class AgainstTruth(TableSpec):
-    """One row for each quantity: the truth, the printed number, and mean ± std of each estimator."""
-
-    row_header: str = "quantity"
-    """Heading of the first column."""
-    rows: Annotated[dict[str, Annotated[str, value_of(), value_of("truth", scores=())]], Field(min_length=1)]
-    """Name of the value in each row by its heading, e.g. {"|Gi(jw)|": gain_i_1}."""
-    metric: str
-    """Name of the metric with the estimates; with a row's value it makes the label, e.g. 'found gain_i_1'."""
-    truth: str
-    """Name of the metric with the true values, such as one of kind true_response."""
-    estimators: Annotated[dict[str, EstimatorName], Field(min_length=1)]
-    """Name of the estimator in each column by its heading."""
-    at: CaseLabels = {}
-    """Labels of axes that choose the case; the first case by default."""
-    digits: Annotated[Count, Field(ge=1, le=15)] = 3
-    """Significant digits of the truth, and decimals of the estimates."""
-
-    def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        first = next(iter(self.estimators.values()))
-        for name in self.rows.values():
-            yield from unscored(plan, ("truth",), first, f"{self.truth} {name}")
-
-    def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
-        first = next(iter(self.estimators.values()))
-        shown = {
-            (heading, name): next(results.select(estimator, f"{self.metric} {name}", self.at))
-            for heading, estimator in self.estimators.items()
-            for name in self.rows.values()
-        }
-        trials = beside_trials(verdicts)
-        # One column holds the printed numbers: the first estimator's that has one.
-        printed = {
-            name: verdict
-            for (_, name), series in reversed(shown.items())
-            if (verdict := trials.get(id(series))) is not None
-        }
-        rows = []
-        for heading, name in self.rows.items():
-            truth = next(results.select(first, f"{self.truth} {name}", self.at)).value("mean")
-            row = [heading, f"{truth:.{self.digits + 1}f}"]
-            if printed:
-                verdict = printed.get(name)
-                row.append(f"{verdict.printed.printed} {SIGNS[verdict.word]}" if verdict else "")
-            rows.append((*row, *(self._ours(shown[column, name]) for column in self.estimators)))
-        header = (self.row_header, "truth", *(["printed"] if printed else []), *self.estimators)
-        notes = ("Ours: mean ± standard deviation over the trials.", *_missing(shown, results.trials))
-        legend = (LEGEND, *intervals([*printed.values()])) if printed else ()
-        return Table(self.title, header, tuple(rows), (*notes, *legend))
-
-    def _ours(self, series: Series) -> str:
-        mean, std = series.value("mean"), series.value("std")
-        if not np.isfinite(mean):
-            return "-"
-        decimals = self.digits + 1
-        return f"{mean:.{decimals}f}" + (f" ± {std:.{decimals}f}" if np.isfinite(std) else "")
-
-
-def _missing(shown: dict[tuple[str, str], Series], trials: int) -> Iterator[str]:
-    """In how many trials an estimator did not determine a value, where it is any."""
-    for (heading, name), series in shown.items():
-        if failed := int(series.statistics["failed"]):
-            yield f"{heading}: {name} is not determined in {failed} of {trials} trials."
-
-
-@component("figure", "signals", source="Brouri, Fig. 2")
-class Signals(OneTrialFigure):
-    """The input of one experiment, and below it the measured and the noise-free output."""
-
-    curve: Shown
-    """The estimator and the case whose record is shown."""
-    experiment: str
-    """Name of the experiment."""
-    t_label: str = "time t"
-    """Label of the abscissa, with its unit."""
-    u_label: str = "input v"
-    """Label of the input, with its unit."""
-    y_label: str = "output y"
-    """Label of the output, with its unit."""
-
-    def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        yield from self.curve.misfits(plan, ("curve",), of_truth="blocks")
-        data = self.curve.unit(plan).data
-        names = [stretch.name for stretch in data.excitation.stretches(data.samples, data.dt or 1.0)]
-        if self.experiment not in names:
-            known = ", ".join(names)
-            yield ("experiment",), f"there is no experiment '{self.experiment}' (there are: {known})"
-
-    def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        figure, (above, below) = subplots(2, 1, sharex=True, figsize=(5.2, 3.6), height_ratios=(1, 2))
-        data = self.curve.unit(results.plan).data
-        try:
-            with np.errstate(all="ignore"):
-                record = generate(data, results.seed, self.trial)
-        except SimulationError as error:
-            say_failed(above, "no record")
-            say_failed(below, f"failed: {error}")
-            return figure
-        part = record.parts[self.experiment]
-        t = np.arange(len(part)) * part.dt
-        above.plot(t, record.u[part.samples], **{**LINES[0], "marker": ""})
-        above.set_ylabel(self.u_label)
-        below.plot(t, record.y[part.samples], label="measured", rasterized=True, **{**DATA, "markersize": 1})
-        below.plot(t, _noise_free(record, self.experiment), label="noise-free", **TRUTH)
-        below.set_ylabel(self.y_label)
-        below.set_xlabel(self.t_label)
-        below.legend(loc="upper left", markerscale=6)
-        return figure
-
-
-def _noise_free(record: Record, experiment: str) -> Array:
-    truth, part = record.truth, record.parts[experiment]
-    assert truth is not None
-    assert truth.nonlinearity is not None
-    blocks = truth.blocks["input"], truth.nonlinearity, truth.blocks["output"]
-    return respond(*blocks, part.waveform, len(part), part.dt)
-
-
-@component("figure", "level_means", source="Brouri, Fig. 3")
-class LevelMeans(OneTrialFigure):
-    """The true nonlinearity with the mean outputs at the levels of a staircase, and below their errors."""
-
-    curves: NonEmpty[Shown]
-    """The estimators, of kind nonlinearity_identification; the first one's system gives the truth."""
-    x_label: str
-    """Label of the abscissa, with its unit."""
-    y_label: str
-    """Label of the output, with its unit."""
-
-    def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        for i, curve in enumerate(self.curves):
-            yield from curve.misfits(plan, ("curves", i), of_truth="nonlinearity")
-            if not isinstance(curve.unit(plan).estimator, NonlinearityIdentification):
-                said = f"the estimator '{curve.estimator}' is not of kind nonlinearity_identification"
-                yield ("curves", i, "estimator"), said
-
-    def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        trial = OneTrial(results, self.trial)
-        figure, (above, below) = subplots(2, 1, sharex=True, figsize=(4.8, 4.4), height_ratios=(2, 1))
-        failures = []
-        for curve, line in zip(self.curves, LINES, strict=False):
-            realised = trial.of(curve.estimator, curve.at)
-            if realised.found is None:
-                failures.append(f"{curve.text} failed: {realised.failure}")
-                continue
-            assert realised.truth.nonlinearity is not None
-            staircase = realised.found.details["staircase"]
-            x, found = staircase.x, staircase.levels
-            look = {**line, "linestyle": "none", "markerfacecolor": "none"}
-            above.plot(x, found.values, label=curve.text, zorder=5, **look)
-            error = found.values - realised.truth.nonlinearity(x)
-            below.errorbar(x, error, 2.0 * found.errors, capsize=3, **look)
-            if curve is self.curves[0]:
-                dense = np.linspace(np.min(x), np.max(x), _POINTS)
-                above.plot(dense, realised.truth.nonlinearity(dense), label="true", **TRUTH)
-        list_failures(above, failures)
-        below.axhline(0.0, **{**TRUTH, "zorder": 0})
-        above.set_ylabel(self.y_label)
-        below.set_ylabel("estimate - truth\n(bars: ± 2 std. errors)")
-        below.set_xlabel(self.x_label)
-        if above.get_legend_handles_labels()[1]:
-            above.legend()
-        return figure
 
 
 @component("figure", "bode")

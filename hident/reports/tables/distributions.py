@@ -17,7 +17,7 @@ from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside_trials
 from hident.records import Array
 from hident.reports.base import Misfit, Table, TableSpec
-from hident.reports.tables.grid import LEGEND, SIGNS, intervals, written
+from hident.reports.tables.writing import LEGEND, SIGNS, intervals, written
 
 if TYPE_CHECKING:
     import pandas as pd

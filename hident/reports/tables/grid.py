@@ -1,44 +1,22 @@
-"""Tables of table.md."""
+"""The table of an axis against estimators."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field
 
-from hident.config.references import AxisName, EstimatorName, MetricLabel, NumericAxis
-from hident.config.spec import Count, Flag, NonEmpty, Real, Spec, component
-from hident.engine.experiment import Label, Statistic
+from hident.config.references import AxisName, EstimatorName, MetricLabel
+from hident.config.spec import Count, Flag, NonEmpty, Spec, component
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside
-from hident.records import Array
 from hident.reports.base import Table, TableSpec
+from hident.reports.tables.writing import LEGEND, SIGNS, decimals_of, failures, intervals, written
 
-SIGNS = {"exact": "=", "agrees": "~", "differs": "!"}
-LEGEND = (
-    "Beside ours, the printed number: `=` ours rounds to it, `~` it lies in the interval that the trials "
-    "give and so is not excluded, `!` it differs."
-)
-Shown = Literal["mean", "std", "se", "median", "spread", "mean_std"]
-
-
-def written(value: float, digits: int = 3) -> str:
-    """A number with ``digits`` significant digits, and at least its integer part in full."""
-    if not math.isfinite(value):
-        return "-"
-    if value and not 1e-4 <= abs(value) < 10.0 ** max(5, digits):
-        return f"{value:.{digits - 1}e}"
-    return f"{value:.{_decimals(value, digits)}f}"
-
-
-def _decimals(value: float, digits: int) -> int:
-    """The decimals that show ``digits`` significant digits of a value."""
-    rounded = float(f"{value:.{digits - 1}e}")
-    return max(0, digits - 1 - math.floor(math.log10(abs(rounded)))) if value else 0
+Quantity = Literal["mean", "std", "se", "median", "spread", "mean_std"]
 
 
 class Column(Spec):
@@ -50,7 +28,7 @@ class Column(Spec):
     """Label of the metric."""
     header: str | None = None
     """Heading; the estimator's name by default."""
-    statistic: Shown = "mean"
+    statistic: Quantity = "mean"
     """What is shown: mean, std, se, median, spread (median and quartiles) or mean_std."""
 
 
@@ -101,7 +79,7 @@ class Grid(TableSpec):
         failed = failures(shown_ones)
         return Table(self.title, tuple(header), tuple(rows), (*notes, *failed))
 
-    def _cell(self, series: Series, statistic: Shown) -> str:
+    def _cell(self, series: Series, statistic: Quantity) -> str:
         s = series.statistics
         match statistic:
             case "spread":
@@ -110,106 +88,7 @@ class Grid(TableSpec):
             case "mean_std":
                 if not math.isfinite(s["std"]):
                     return f"{written(s['mean'], self.digits)} ± -"
-                decimals = _decimals(s["std"], self.digits)
+                decimals = decimals_of(s["std"], self.digits)
                 return f"{s['mean']:.{decimals}f} ± {s['std']:.{decimals}f}"
             case _:
                 return written(s[statistic], self.digits)
-
-
-def intervals(verdicts: Sequence[Verdict]) -> list[str]:
-    """What the intervals of the verdicts are, for the notes of a table."""
-    return [f"Interval: {text}." for text in dict.fromkeys(v.interval for v in verdicts)]
-
-
-def failures(series: Iterable[Series]) -> Iterator[str]:
-    """What failed and why, for the notes of a table; once for all metrics of a unit that failed alike."""
-    seen = set()
-    for one in series:
-        failed, total = one.statistics["failed"], one.statistics["trials"]
-        alike = (id(one.unit), failed, one.reasons)
-        if failed and alike not in seen:
-            seen.add(alike)
-            yield (
-                f"{failed:.0f} of {total:.0f} trials of {one.unit.described()} failed{_why(one.reasons)} "
-                "and are left out of the statistics."
-            )
-
-
-def _why(reasons: Sequence[tuple[str, int]]) -> str:
-    if not reasons:
-        return ""
-    if len(reasons) == 1:
-        return f" ({reasons[0][0]})"
-    return f" ({'; '.join(f'{count} times: {text}' for text, count in reasons)})"
-
-
-@component("table", "rate")
-class Rate(TableSpec):
-    """Slopes of log statistic against log axis, by weighted least squares, with standard errors."""
-
-    axis: Annotated[str, NumericAxis(positive=True, least=2)]
-    """The axis whose labels are numbers, e.g. samples."""
-    metric: MetricLabel
-    """Label of the metric."""
-    estimators: NonEmpty[EstimatorName]
-    """Names of the estimators."""
-    statistic: Statistic = "mean"
-    """The statistic whose rate is sought."""
-    root: Flag = False
-    """Take the square root first, as for the mean of a squared error."""
-    expected: Real | None = None
-    """The slope that theory gives."""
-
-    def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
-        import pandas as pd
-
-        groups: dict[tuple[str, tuple[tuple[str, Label], ...]], list[Series]] = {}
-        for estimator in self.estimators:
-            for series in results.select(estimator, self.metric):
-                rest = tuple((a, v) for a, v in series.unit.labels.items() if a != self.axis)
-                groups.setdefault((estimator, rest), []).append(series)
-        rows = []
-        for (estimator, rest), group in groups.items():
-            slope, error = self.slope(group)
-            rows.append({"estimator": estimator, **dict(rest), "slope": slope, "standard_error": error})
-        data = pd.DataFrame(rows)
-        if self.expected is not None:
-            data["expected"] = self.expected
-            data["deviation"] = (data["slope"] - self.expected) / data["standard_error"]
-        titles = {"standard_error": "standard error", "deviation": "deviation / standard error"}
-        return Table(
-            self.title,
-            tuple(titles.get(str(name), str(name)) for name in data.columns),
-            tuple(
-                tuple(v if isinstance(v, str) else written(float(v)) for v in row)
-                for row in data.itertuples(index=False)
-            ),
-            data=data,
-        )
-
-    def slope(self, group: Sequence[Series]) -> tuple[float, float]:
-        """Weighted least-squares slope and its standard error, scaled up if the fit is worse than noise.
-
-        Points without a logarithm or a standard error do not count; nan if fewer than two are left.
-        """
-        x = np.array([float(series.unit.labels[self.axis]) for series in group])
-        value = np.array([series.value(self.statistic) for series in group])
-        error = np.array([series.standard_error(self.statistic) for series in group])
-        usable = np.isfinite(value) & (value > 0.0) & np.isfinite(error) & (error > 0.0)
-        if len(np.unique(x[usable])) < 2:
-            return float("nan"), float("nan")
-        return self._slope(np.log(x[usable]), value[usable], error[usable])
-
-    def _slope(self, x: Array, value: Array, error: Array) -> tuple[float, float]:
-        """The slope of log ``value`` (K,) by ``x`` (K,) and its standard error, all values positive."""
-        power = 0.5 if self.root else 1.0
-        relative = power * error / value
-        z = power * np.log(value)
-        weight = relative**-2.0
-        centred = x - np.average(x, weights=weight)
-        information = float(weight @ centred**2)
-        slope = float(weight @ (centred * z)) / information
-        residual = z - np.average(z, weights=weight) - slope * centred
-        freedom = len(x) - 2
-        scatter = float(weight @ residual**2) / freedom if freedom > 0 else 1.0
-        return slope, float(np.sqrt(max(1.0, scatter) / information))
