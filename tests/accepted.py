@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from hident import arithmetic, plugins
+from hident.arrays import Array
 from hident.engine.executors import SerialExecutor
 from hident.engine.experiment import Plan, load
 from hident.engine.fingerprint import libraries
@@ -25,7 +26,6 @@ from hident.ledger.sensitivity import RTOL, Sensitivity
 from hident.ledger.trial_comparison import TrialComparison
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import Verdict, judge
-from hident.records import Array
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.engine.experiment import Label, Plan, Statistic, Unit
 from hident.numerics.rounding import is_constant
-from hident.records import Array
 
 if TYPE_CHECKING:
     import pandas as pd

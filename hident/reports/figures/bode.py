@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.references import EstimatorName, Metric
 from hident.config.spec import Count, NonEmpty, component
 from hident.engine.experiment import Plan
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.metrics import frequency
-from hident.records import Array
 from hident.reports.base import FigureSpec, Misfit
 from hident.reports.style import LINES, TRUTH, legend_above, panel_grid
-from hident.systems.continuous import ContinuousTransferFunction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

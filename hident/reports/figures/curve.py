@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.config.references import EstimatorName, Metric, NumericAxis
 from hident.config.spec import Flag, NonEmpty, Real, Spec, component
 from hident.engine.experiment import Plan, Statistic
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Beside, Verdict, beside
-from hident.records import Array
 from hident.reports.base import FigureSpec, Misfit, unscored
 from hident.reports.style import LINES, subplots
 

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.config.references import EstimatorName, NumericAxis, TableName, ValueName, value_of
 from hident.config.spec import Flag, NonEmpty, component
 from hident.engine.experiment import Plan
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict, beside
-from hident.records import Array
 from hident.reports.base import FigureSpec, Misfit
 from hident.reports.style import LINES, TRUTH, subplots, symbol
 from hident.reports.tables.parameters import Efficiency, ratios

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.config.spec import NonEmpty, component
 from hident.engine.experiment import Plan
 from hident.engine.results import Results
@@ -14,7 +15,7 @@ from hident.engine.trial import generate
 from hident.errors import SimulationError
 from hident.estimators.frequency.nonlinearity_identification import NonlinearityIdentification
 from hident.ledger.verdicts import Verdict
-from hident.records import Array, Record
+from hident.records import Record
 from hident.reports.base import Misfit
 from hident.reports.one_trial.base import OneTrial, OneTrialFigure, Shown, list_failures, say_failed
 from hident.reports.style import DATA, LINES, TRUTH, subplots

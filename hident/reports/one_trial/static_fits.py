@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, Interval, NonEmpty, Spec, component
 from hident.config.yaml12 import Location
 from hident.engine.experiment import Plan
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
-from hident.records import Array, Estimate
+from hident.records import Estimate
 from hident.reports.base import Misfit
 from hident.reports.one_trial.base import (
     Offset,

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from hident.arrays import Array
 from hident.config.references import CaseLabels, EstimatorName, Metric
 from hident.config.spec import Count, NonEmpty, Spec, component
 from hident.config.suggest import did_you_mean, one_of
 from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside_trials
-from hident.records import Array
 from hident.reports.base import Misfit, Table, TableSpec
 from hident.reports.tables.writing import LEGEND, SIGNS, intervals, written
 

@@ -8,11 +8,11 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.references import EstimatorName, ValueName, value_of
 from hident.config.spec import Count, NonEmpty, component
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside
-from hident.records import Array
 from hident.reports.base import Table, TableSpec
 from hident.reports.tables.writing import LEGEND, SIGNS, intervals
 

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.config.references import EstimatorName, MetricLabel, NumericAxis
 from hident.config.spec import Flag, NonEmpty, Real, component
 from hident.engine.experiment import Label, Statistic
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict
-from hident.records import Array
 from hident.reports.base import Table, TableSpec
 from hident.reports.tables.writing import written
 
