@@ -10,7 +10,6 @@ Gains are relative to the static ones, and phases are continuous from zero at w 
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -61,12 +60,6 @@ def _check_static_gains(scored: Scored) -> None:
             )
 
 
-def estimated_frequencies(estimate: Estimate) -> Array:
-    """The angular frequencies w_1, w_2, ... (n,) that the names of an estimate's gains and phases number."""
-    numbers = itertools.takewhile(lambda m: f"omega_{m}" in estimate.values, itertools.count(1))
-    return np.array([estimate.values[f"omega_{m}"] for m in numbers])
-
-
 def gain(block: ContinuousTransferFunction, omega: Array) -> Array:
     """|G(jw) / G(0)|, of the shape of ``omega``."""
     return np.asarray(np.abs(block.frequency_response(omega) / block.b[0]))
@@ -81,13 +74,12 @@ def phase(block: ContinuousTransferFunction, omega: Array) -> Array:
     return of(block.zeros()) - of(block.poles()) - block.delay * omega
 
 
-def true_response(name: str, truth: Truth, omega: Array) -> float:
-    """The true gain or phase of a name, given the frequencies w_1, w_2, ... (n,); nan beyond the last."""
-    quantity, m, k = _parsed(name)
-    if m > len(omega):
-        return math.nan
+def true_response(name: str, truth: Truth, omega: float) -> float:
+    """The true gain or phase of a name, given the frequency w_m that it numbers."""
+    quantity, _, k = _parsed(name)
     first, second = truth.blocks["input"], truth.blocks["output"]
-    at, harmonic = omega[m - 1 : m], k * omega[m - 1 : m]
+    at = np.array([omega])
+    harmonic = k * at
     match quantity:
         case "gain_i":
             found = gain(first, at)
@@ -154,10 +146,10 @@ class _True(_OfResponses):
     def check(self, scored: Scored) -> None:
         _check_static_gains(scored)
 
-    def truths(self, record: Record, omega: Array) -> list[float]:
-        """The true values at the frequencies w_1, w_2, ... (n,)."""
+    def truths(self, record: Record, omega: Mapping[int, float]) -> list[float]:
+        """The true values, given the frequencies w_m by their numbers m."""
         assert record.truth is not None
-        return [true_response(name, record.truth, omega) for name in self.of]
+        return [true_response(name, record.truth, omega[_parsed(name)[1]]) for name in self.of]
 
 
 def _factors(name: str) -> tuple[str, ...]:
@@ -190,7 +182,7 @@ class TrueResponse(_True):
                 raise ValueError(f"asks for {name}, and the record has sines at {known} frequencies")
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        return self.truths(record, sine_frequencies(record))
+        return self.truths(record, dict(enumerate(sine_frequencies(record).tolist(), start=1)))
 
 
 @component("metric", "response_error")
@@ -201,7 +193,8 @@ class ResponseError(_Estimated, _True):
     """In percent of the true gain or phase."""
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        true = self.truths(record, estimated_frequencies(estimate))
+        numbers = {_parsed(name)[1] for name in self.of}
+        true = self.truths(record, {m: estimate.values[f"omega_{m}"] for m in numbers})
         errors = []
         for name, found, at in zip(self.of, self.estimates(estimate), true, strict=True):
             error = found - at
@@ -233,7 +226,9 @@ class GainShapeError(MetricSpec):
     def needs_of_estimate(self) -> frozenset[str]:
         numbered = enumerate(self.harmonics, start=1)
         return frozenset(
-            f"value gain_{k} or value {part}" for m, k in numbered for part in _factors(f"series_gain_{m}")
+            f"value gain_{k} or value {part}"
+            for m, k in numbered
+            for part in (f"omega_{m}", *_factors(f"series_gain_{m}"))
         )
 
     def check(self, scored: Scored) -> None:
@@ -249,8 +244,9 @@ class GainShapeError(MetricSpec):
             omega = np.array(self.harmonics) * _lowest_frequency(record)
             found = [estimate.values[name] for name in names]
         else:
-            omega = estimated_frequencies(estimate)[: len(names)]
-            found = [_product(f"series_gain_{m}", estimate.values) for m in range(1, len(names) + 1)]
+            numbers = range(1, len(names) + 1)
+            omega = np.array([estimate.values[f"omega_{m}"] for m in numbers])
+            found = [_product(f"series_gain_{m}", estimate.values) for m in numbers]
         blocks = record.truth.blocks
         away = np.log(found / (gain(blocks["input"], omega) * gain(blocks["output"], omega)))
         return (100.0 * float(np.std(away, ddof=1)),)

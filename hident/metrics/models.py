@@ -123,7 +123,7 @@ class SettlingTime(MetricSpec):
 
 
 @component("metric", "validation_error")
-class ValidationError(MetricSpec):
+class ValidationPercentError(MetricSpec):
     """Percent error of the model's noise-free response to an input that it was not fitted to.
 
     Infinite for a model with an unstable linear block, whose response says nothing.
