@@ -167,5 +167,4 @@ class Estimate:
     continuous: ContinuousTransferFunction | None = None
     response: Response | None = None
     values: Mapping[str, float] = field(default_factory=dict)
-    diagnostics: Mapping[str, float] = field(default_factory=dict)
     details: Mapping[str, Any] = field(default_factory=dict)

@@ -83,7 +83,7 @@ class Regression:
     """The weighted regressors F Phi = Q R, factored once for the outputs of any number of trials.
 
     ``phi`` has shape (rows, n m), ``q`` (M, n m), ``r`` and its inverse ``g`` (n m, n m); so
-    (Phi'W Phi)^-1 = g g'. ``condition`` is the condition number of F Phi with columns of length one.
+    (Phi'W Phi)^-1 = g g'.
     """
 
     phi: Array
@@ -92,7 +92,6 @@ class Regression:
     q: Array
     r: Array
     g: Array
-    condition: float
 
     @classmethod
     def of(cls, phi: Array, n: int, root: Root = identity, delay: int = 1) -> Self:
@@ -117,7 +116,7 @@ class Regression:
         if null.any():
             raise EstimationError(_dependence(phi, n, delay, right[null]))
         g = np.linalg.solve(r, np.eye(len(r))) / length[:, None]
-        return cls(phi, n, root, q, r * length, g, float(singular_values[0] / singular_values[-1]))
+        return cls(phi, n, root, q, r * length, g)
 
     def projected(self, y: Array) -> Array:
         """Q'F y: all that the estimates need of ``y`` (rows,) or (rows, T)."""
