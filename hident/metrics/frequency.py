@@ -24,7 +24,7 @@ from hident.config.spec import Count, Flag, NonEmpty, component
 from hident.config.suggest import did_you_mean, one_of
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.metrics.base import MetricSpec, Scored
-from hident.records import Estimate, Periodic, Record, Truth
+from hident.records import Estimate, Periodic, Record, Truth, needed
 from hident.signals.base import Stretch
 from hident.signals.excitation import Multisine, Sine
 from hident.systems.continuous_wiener_hammerstein import ACCURACY, respond
@@ -148,8 +148,7 @@ class _True(_OfResponses):
 
     def truths(self, record: Record, omega: Mapping[int, float]) -> list[float]:
         """The true values, given the frequencies w_m by their numbers m."""
-        assert record.truth is not None
-        return [true_response(name, record.truth, omega[_parsed(name)[1]]) for name in self.of]
+        return [true_response(name, needed(record.truth), omega[_parsed(name)[1]]) for name in self.of]
 
 
 def _factors(name: str) -> tuple[str, ...]:
@@ -238,7 +237,6 @@ class GainShapeError(MetricSpec):
             raise ValueError("counts the harmonics of multisines, and the record has none")
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        assert record.truth is not None
         names = [f"gain_{k}" for k in self.harmonics]
         if names[0] in estimate.values:
             omega = np.array(self.harmonics) * _lowest_frequency(record)
@@ -247,7 +245,7 @@ class GainShapeError(MetricSpec):
             numbers = range(1, len(names) + 1)
             omega = np.array([estimate.values[f"omega_{m}"] for m in numbers])
             found = [_product(f"series_gain_{m}", estimate.values) for m in numbers]
-        blocks = record.truth.blocks
+        blocks = needed(record.truth).blocks
         away = np.log(found / (gain(blocks["input"], omega) * gain(blocks["output"], omega)))
         return (100.0 * float(np.std(away, ddof=1)),)
 
@@ -286,8 +284,7 @@ class MovedDelay(MetricSpec):
                 )
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        assert record.truth is not None
-        return [_change(record, record.truth, name) for name in self.experiments]
+        return [_change(record, needed(record.truth), name) for name in self.experiments]
 
 
 def _belongs(name: str, experiment: str) -> bool:
@@ -306,14 +303,13 @@ def _relative_change(one: Array, other: Array) -> float:
 
 def _change(record: Record, truth: Truth, experiment: str) -> float:
     """The largest relative change over the experiments of a name; nan if there is none."""
-    assert truth.nonlinearity is not None
-    first, second = truth.blocks["input"], truth.blocks["output"]
+    first, middle, second = truth.blocks["input"], needed(truth.nonlinearity), truth.blocks["output"]
     delayed = replace(first, delay=first.delay + second.delay), replace(second, delay=0.0)
     changes = [math.nan]
     for name, part in record.parts.items():
         if _belongs(name, experiment):
             signal = part.waveform, len(part), part.dt
-            one = respond(first, truth.nonlinearity, second, *signal)
-            other = respond(delayed[0], truth.nonlinearity, delayed[1], *signal)
+            one = respond(first, middle, second, *signal)
+            other = respond(delayed[0], middle, delayed[1], *signal)
             changes.append(_relative_change(one, other))
     return float(np.fmax.reduce(changes))

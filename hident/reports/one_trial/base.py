@@ -17,7 +17,7 @@ from hident.config.yaml12 import Location
 from hident.engine.experiment import Label, Plan, Unit
 from hident.engine.results import Results
 from hident.engine.trial import FAILURES, Data, Job, estimate, generate, reason
-from hident.records import Estimate, Record, Truth
+from hident.records import Estimate, Record, Truth, needed
 from hident.reports.base import FigureSpec, Misfit
 
 if TYPE_CHECKING:
@@ -160,8 +160,7 @@ class OneTrialFigure(FigureSpec):
 
 def true_curve(truth: Truth, x: Array) -> Array:
     """The true characteristic at increasing points, with a gap at each of its break points."""
-    assert truth.nonlinearity is not None
-    y = np.array(truth.nonlinearity(x))
+    y = np.array(needed(truth.nonlinearity)(x))
     y[np.searchsorted(x, [b for b in truth.breakpoints if x[0] < b < x[-1]])] = np.nan
     return y
 

@@ -16,7 +16,7 @@ from hident.engine.results import Results
 from hident.estimators.moving_horizon.searches import History
 from hident.ledger.verdicts import Verdict
 from hident.metrics.base import MetricSpec
-from hident.records import Estimate
+from hident.records import Estimate, needed
 from hident.reports.one_trial.base import OneTrial, OneTrialFigure, Realised, Shown, list_failures
 from hident.reports.style import TRUTH, legend_above, looks, panel_grid, symbol
 
@@ -108,13 +108,12 @@ def along(realised: Realised, name: str) -> Array:
 
 def scores(realised: Realised, label: str) -> Array:
     """A metric's number at every iteration, shape (iterations + 1,); nan where there is no estimate."""
-    assert realised.found is not None
-    assert realised.record is not None
+    estimate, record = needed(realised.found), needed(realised.record)
     metric, place = _metric(realised, label)
     found = []
     with np.errstate(all="ignore"):
-        for iterate in iterates(realised.found, realised.detail("history")):
-            scored = np.nan if iterate is None else metric.evaluate(iterate, realised.record)[place]
+        for iterate in iterates(estimate, realised.detail("history")):
+            scored = np.nan if iterate is None else metric.evaluate(iterate, record)[place]
             found.append(scored)
     return np.array(found, dtype=float)
 

@@ -15,7 +15,7 @@ from hident.engine.trial import generate
 from hident.errors import SimulationError
 from hident.estimators.frequency.nonlinearity_identification import NonlinearityIdentification
 from hident.ledger.verdicts import Verdict
-from hident.records import Record
+from hident.records import Record, needed
 from hident.reports.base import Misfit
 from hident.reports.one_trial.base import OneTrial, OneTrialFigure, Shown, list_failures, say_failed
 from hident.reports.style import DATA, LINES, TRUTH, subplots
@@ -73,10 +73,8 @@ class Signals(OneTrialFigure):
 
 
 def _noise_free(record: Record, experiment: str) -> Array:
-    truth, part = record.truth, record.parts[experiment]
-    assert truth is not None
-    assert truth.nonlinearity is not None
-    blocks = truth.blocks["input"], truth.nonlinearity, truth.blocks["output"]
+    truth, part = needed(record.truth), record.parts[experiment]
+    blocks = truth.blocks["input"], needed(truth.nonlinearity), truth.blocks["output"]
     return respond(*blocks, part.waveform, len(part), part.dt)
 
 
@@ -107,16 +105,16 @@ class LevelMeans(OneTrialFigure):
             if realised.found is None:
                 failures.append(f"{curve.text} failed: {realised.failure}")
                 continue
-            assert realised.truth.nonlinearity is not None
+            true = needed(realised.truth.nonlinearity)
             staircase = realised.found.details["staircase"]
             x, found = staircase.x, staircase.levels
             look = {**line, "linestyle": "none", "markerfacecolor": "none"}
             above.plot(x, found.values, label=curve.text, zorder=5, **look)
-            error = found.values - realised.truth.nonlinearity(x)
+            error = found.values - true(x)
             below.errorbar(x, error, 2.0 * found.errors, capsize=3, **look)
             if curve is self.curves[0]:
                 dense = np.linspace(np.min(x), np.max(x), _DENSE)
-                above.plot(dense, realised.truth.nonlinearity(dense), label="true", **TRUTH)
+                above.plot(dense, true(dense), label="true", **TRUTH)
         list_failures(above, failures)
         below.axhline(0.0, **{**TRUTH, "zorder": 0})
         above.set_ylabel(self.y_label)

@@ -12,6 +12,7 @@ from hident.config.spec import Interval, NonEmpty, component
 from hident.engine.experiment import Plan
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
+from hident.records import needed
 from hident.reports.base import Misfit
 from hident.reports.one_trial.base import OneTrial, OneTrialFigure, Realised, say_failed, true_curve
 from hident.reports.style import DATA, ESTIMATE, TRUTH, legend_above, subplots
@@ -79,8 +80,7 @@ class Realisation(OneTrialFigure):
         if realised.found is None:
             say_failed(axes, f"failed: {realised.failure}")
         else:
-            assert realised.found.nonlinearity is not None
             with np.errstate(all="ignore"):
-                axes.plot(u, realised.found.nonlinearity(u), label="estimate", **ESTIMATE)
+                axes.plot(u, needed(realised.found.nonlinearity)(u), label="estimate", **ESTIMATE)
         if self.y_limits is not None:
             axes.set_ylim(*self.y_limits)

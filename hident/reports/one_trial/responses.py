@@ -17,7 +17,7 @@ from hident.errors import TrialFailed
 from hident.ledger.verdicts import Verdict
 from hident.metrics.models import fit_error, has_stable_block, validation_input
 from hident.numerics.rounding import is_constant
-from hident.records import Response
+from hident.records import Response, needed
 from hident.reports.base import Misfit
 from hident.reports.one_trial.base import (
     Offset,
@@ -149,10 +149,9 @@ class Validation(OneTrialFigure):
 
 def _respond(response: Response | None, u: Array, dt: float) -> tuple[Array | None, str]:
     """The response, or None and why it failed."""
-    assert response is not None
     try:
         with np.errstate(all="ignore"):
-            return response(u, dt), ""
+            return needed(response)(u, dt), ""
     except TrialFailed as error:
         return None, str(error)
 
@@ -204,8 +203,7 @@ class SettlingMap(OneTrialFigure):
             if realised.found is None:
                 failures.append(f"{curve.text} failed: {realised.failure}")
                 continue
-            assert realised.found.continuous is not None  # by misfits
-            constant = np.full(_OPERATING_POINTS, realised.found.continuous.settling_time())
+            constant = np.full(_OPERATING_POINTS, needed(realised.found.continuous).settling_time())
             look = marked(lines[curve.text], place, _OPERATING_POINTS)
             axes.plot(x, constant, label=curve.text, **look)
         list_failures(axes, failures)

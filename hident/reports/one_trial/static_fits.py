@@ -14,7 +14,7 @@ from hident.config.yaml12 import Location
 from hident.engine.experiment import Plan
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
-from hident.records import Estimate
+from hident.records import Estimate, needed
 from hident.reports.base import Misfit
 from hident.reports.one_trial.base import (
     Offset,
@@ -64,8 +64,8 @@ class StaticCurve(Shown):
 def _static_gain(found: Estimate) -> float:
     if found.continuous is not None:
         return found.continuous.b[0]
-    assert found.linear is not None
-    return float(np.sum(found.linear.b) / np.sum(found.linear.denominator))
+    linear = needed(found.linear)
+    return float(np.sum(linear.b) / np.sum(linear.denominator))
 
 
 class StaticPanel(Spec):
@@ -160,8 +160,7 @@ def draw_static(axes: Axes, panel: StaticPanel, trial: OneTrial, lines: Mapping[
 def _draw_estimate(
     axes: Axes, panel: StaticPanel, curve: StaticCurve, realised: Realised, line: Look
 ) -> None:
-    found = realised.found
-    assert found is not None
+    found = needed(realised.found)
     x_offset, y_offset = (offset_of(realised.truth, offset) for offset in (panel.x_offset, panel.y_offset))
     if "points" in curve.show:
         x, y = realised.detail("internal_variable")
