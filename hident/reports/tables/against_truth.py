@@ -14,7 +14,7 @@ from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside_trials
 from hident.reports.base import Misfit, Table, TableSpec, unscored
-from hident.reports.tables.writing import LEGEND, SIGNS, intervals
+from hident.reports.tables.writing import judged, legend
 
 
 @component("table", "against_truth", source="Brouri, eq. (46)")
@@ -60,13 +60,12 @@ class AgainstTruth(TableSpec):
             truth = next(results.select(first, f"{self.truth} {name}", self.at)).value("mean")
             row = [heading, f"{truth:.{self.digits + 1}f}"]
             if printed:
-                verdict = printed.get(name)
-                row.append(f"{verdict.printed.printed} {SIGNS[verdict.word]}" if verdict else "")
+                row.append(judged(printed.get(name)))
             rows.append((*row, *(self._ours(shown[column, name]) for column in self.estimators)))
         header = (self.row_header, "truth", *(["printed"] if printed else []), *self.estimators)
         notes = ("Ours: mean ± standard deviation over the trials.", *_missing(shown, results.trials))
-        legend = (LEGEND, *intervals([*printed.values()])) if printed else ()
-        return Table(self.title, header, tuple(rows), (*notes, *legend))
+        explained = legend(printed.values()) if printed else ()
+        return Table(self.title, header, tuple(rows), (*notes, *explained))
 
     def _ours(self, series: Series) -> str:
         mean, std = series.value("mean"), series.value("std")

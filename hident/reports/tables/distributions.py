@@ -17,7 +17,7 @@ from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside_trials
 from hident.reports.base import Misfit, Table, TableSpec
-from hident.reports.tables.writing import LEGEND, SIGNS, intervals, written
+from hident.reports.tables.writing import judged, legend, written
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -131,7 +131,7 @@ class Distribution(TableSpec):
                 rows.append(("printed", *(_printed(own.get(heading)) for heading in self.columns)))
             if failures := max(int(cell.series.statistics["failed"]) for cell in own.values()):
                 failed.append(f"{row.label}: {failures} of {results.trials} trials failed and are left out.")
-        explained = (_OURS, _PERCENTILE, LEGEND, *intervals(verdicts)) if verdicts else (_OURS,)
+        explained = (_OURS, _PERCENTILE, *legend(verdicts)) if verdicts else (_OURS,)
         header = (self.row_header, *self.columns)
         return Table(self.title, header, tuple(rows), (*explained, *failed), _data(results, cells))
 
@@ -152,8 +152,7 @@ class Distribution(TableSpec):
 def _printed(cell: _Cell | None) -> str:
     if cell is None or cell.verdict is None:
         return ""
-    verdict = cell.verdict
-    return f"{verdict.printed.printed} {SIGNS[verdict.word]} p{cell.percentile:.0f}"
+    return f"{judged(cell.verdict)} p{cell.percentile:.0f}"
 
 
 def _data(results: Results, cells: Sequence[_Cell]) -> pd.DataFrame:

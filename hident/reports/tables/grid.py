@@ -14,7 +14,7 @@ from hident.config.spec import Count, Flag, NonEmpty, Spec, component
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside
 from hident.reports.base import Table, TableSpec
-from hident.reports.tables.writing import LEGEND, SIGNS, decimals_of, failures, intervals, written
+from hident.reports.tables.writing import decimals_of, failures, judged, legend, written
 
 Quantity = Literal["mean", "std", "se", "median", "spread", "mean_std"]
 
@@ -71,10 +71,9 @@ class Grid(TableSpec):
                     found = next(results.select(column.estimator, column.metric, labels), None)
                     row.append("-" if found is None else self._cell(found, column.statistic))
                     if printed:
-                        verdict = printed_at.get((id(found), column.statistic))
-                        row.append(f"{verdict.printed.printed} {SIGNS[verdict.word]}" if verdict else "")
+                        row.append(judged(printed_at.get((id(found), column.statistic))))
                 rows.append(tuple(row))
-        notes = [LEGEND, *intervals(verdicts)] if any(shown) else []
+        notes = legend(verdicts) if any(shown) else []
         shown_ones = (one for c in self.columns for one in results.select(c.estimator, c.metric))
         failed = failures(shown_ones)
         return Table(self.title, tuple(header), tuple(rows), (*notes, *failed))

@@ -14,7 +14,7 @@ from hident.config.spec import Count, NonEmpty, component
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside
 from hident.reports.base import Table, TableSpec
-from hident.reports.tables.writing import LEGEND, SIGNS, intervals
+from hident.reports.tables.writing import judged, legend
 
 
 @component("table", "parameters")
@@ -48,11 +48,9 @@ class Parameters(TableSpec):
                 row.append(" ± ".join(f"{series.statistics[s]:.{self.decimals}f}" for s in statistics))
                 if two:
                     found = [printed[id(series), s] for s in statistics if (id(series), s) in printed]
-                    row.append(" ± ".join(f"{v.printed.printed} {SIGNS[v.word]}" for v in found))
+                    row.append(" ± ".join(map(judged, found)))
             rows.append(tuple(row))
-        return Table(
-            self.title, tuple(header), tuple(rows), (LEGEND, *intervals(verdicts)) if printed else ()
-        )
+        return Table(self.title, tuple(header), tuple(rows), tuple(legend(verdicts)) if printed else ())
 
     def _has_printed(self, results: Results, estimator: str, verdicts: Sequence[Verdict]) -> bool:
         shown = [

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from hident.engine.results import Series
 from hident.ledger.verdicts import Verdict
 
-SIGNS = {"exact": "=", "agrees": "~", "differs": "!"}
-LEGEND = (
+_SIGNS = {"exact": "=", "agrees": "~", "differs": "!"}
+_LEGEND = (
     "Beside ours, the printed number: `=` ours rounds to it, `~` it lies in the interval that the trials "
     "give and so is not excluded, `!` it differs."
 )
@@ -30,9 +30,14 @@ def decimals_of(value: float, digits: int) -> int:
     return max(0, digits - 1 - math.floor(math.log10(abs(rounded)))) if value else 0
 
 
-def intervals(verdicts: Sequence[Verdict]) -> list[str]:
-    """What the intervals of the verdicts are, for the notes of a table."""
-    return [f"Interval: {text}." for text in dict.fromkeys(v.interval for v in verdicts)]
+def judged(verdict: Verdict | None) -> str:
+    """The printed number with the sign of its verdict; nothing where nothing is printed."""
+    return f"{verdict.printed.printed} {_SIGNS[verdict.word]}" if verdict else ""
+
+
+def legend(verdicts: Iterable[Verdict]) -> list[str]:
+    """What the signs and the intervals of the verdicts mean, for the notes of a table."""
+    return [_LEGEND, *(f"Interval: {text}." for text in dict.fromkeys(v.interval for v in verdicts))]
 
 
 def failures(series: Iterable[Series]) -> Iterator[str]:
