@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from hident.numerics.parts import Parts, whole
 # Times written with a few digits are uneven by their rounding.
 _UNEVEN = 1e-3
 
+T = TypeVar("T")
 Response = Callable[[Array, float], Array]
 """The noise-free output (N,) to an input (N,), given the sampling interval."""
 
@@ -91,6 +92,12 @@ class Truth:
     blocks: Mapping[str, ContinuousTransferFunction] = field(default_factory=dict)
     values: Mapping[str, float] = field(default_factory=dict)
     breakpoints: tuple[float, ...] = ()
+
+
+def needed(part: T | None) -> T:
+    """A part of a truth or an estimate that is there, as was seen before the run."""
+    assert part is not None
+    return part
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,5 +174,4 @@ class Estimate:
     continuous: ContinuousTransferFunction | None = None
     response: Response | None = None
     values: Mapping[str, float] = field(default_factory=dict)
-    diagnostics: Mapping[str, float] = field(default_factory=dict)
     details: Mapping[str, Any] = field(default_factory=dict)

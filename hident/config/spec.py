@@ -17,6 +17,7 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     Strict,
@@ -101,6 +102,8 @@ def _increasing(interval: tuple[float, float]) -> tuple[float, float]:
 
 
 Interval = Annotated[tuple[Real, Real], AfterValidator(_increasing)]
+T = TypeVar("T")
+NonEmpty = Annotated[tuple[T, ...], Field(min_length=1)]
 
 
 class Spec(BaseModel):

@@ -50,12 +50,6 @@ class Factorisation:
         return values, right
 
     @property
-    def condition(self) -> float:
-        """The condition number of the scaled columns."""
-        values = self._singular[0]
-        return float(values[0] / values[-1]) if values[-1] else float("inf")
-
-    @property
     def null(self) -> Array:
         """An orthonormal basis (K, P) of the combinations of scaled columns that vanish; K = 0 for none."""
         values, right = self._singular

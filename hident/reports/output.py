@@ -27,10 +27,10 @@ from hident.ledger.run_folder import altered, file_digest, read_run
 from hident.ledger.run_folder import written as written_run
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import Verdict, frame, judge
-from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, left_out
+from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, misfits
 from hident.reports.scoring import scoring
 from hident.reports.style import style
-from hident.reports.tables import failures, written
+from hident.reports.tables.writing import failures, written
 
 State = Literal["none", "old", "altered", "up to date"]
 _PACKAGES = ("numpy", "scipy", "finufft", "pandas", "matplotlib", "pydantic")
@@ -112,11 +112,11 @@ def check(plan: Plan) -> None:
     """
     experiment = plan.experiment
     problems = [
-        Problem((family, name, *((field,) if isinstance(field, str) else field)), message)
+        Problem((family, name, *place), message)
         for family, specs in (("tables", experiment.tables), ("figures", experiment.figures))
         for name, spec in specs.items()
         if isinstance(spec, ReportSpec)
-        for field, message in tuple(left_out(plan, spec)) or spec.misfits(plan)
+        for place, message in misfits(plan, spec)
     ]
     if problems:
         raise plan.document.error(problems)

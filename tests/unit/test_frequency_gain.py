@@ -447,7 +447,6 @@ def test_lost_gains_are_an_error_or_nan():
         estimator(**spec).fit(odd, RNG)
     found_estimate = estimator(**spec, lost="omit").fit(odd, RNG)
     assert np.isnan(found_estimate.values["gain_i_1"])
-    assert found_estimate.details["lost"].startswith("the data do not determine")
 
 
 def test_the_static_gain_of_the_output_block_is_zero():

@@ -20,12 +20,12 @@ from hident.estimators.moving_horizon.searches import PartitionSearch, Structure
 from hident.ledger.verdicts import judge
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 from hident.records import Estimate, Record, Truth
-from hident.reports.convergence import iterates
-from hident.reports.distributions import percentile
+from hident.reports.one_trial.convergence import iterates
+from hident.reports.one_trial.searches import contour_levels
+from hident.reports.one_trial.static_fits import StaticCurve
 from hident.reports.output import check
-from hident.reports.searches import contour_levels
-from hident.reports.static_fits import StaticCurve
 from hident.reports.style import style
+from hident.reports.tables.distributions import percentile
 from hident.systems.base import SystemSpec
 
 STEADY_INPUT, STEADY_OUTPUT = 15.6, 7.0

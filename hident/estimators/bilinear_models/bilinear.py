@@ -83,7 +83,7 @@ class Regression:
     """The weighted regressors F Phi = Q R, factored once for the outputs of any number of trials.
 
     ``phi`` has shape (rows, n m), ``q`` (M, n m), ``r`` and its inverse ``g`` (n m, n m); so
-    (Phi'W Phi)^-1 = g g'. ``condition`` is the condition number of F Phi with columns of length one.
+    (Phi'W Phi)^-1 = g g'.
     """
 
     phi: Array
@@ -92,7 +92,6 @@ class Regression:
     q: Array
     r: Array
     g: Array
-    condition: float
 
     @classmethod
     def of(cls, phi: Array, n: int, root: Root = identity, delay: int = 1) -> Self:
@@ -114,7 +113,7 @@ class Regression:
         if len(null := factors.null):
             raise EstimationError(_dependence(phi, n, delay, null))
         upper = factors.r * factors.length
-        return cls(phi, n, root, factors.q, upper, factors.inverse_root, factors.condition)
+        return cls(phi, n, root, factors.q, upper, factors.inverse_root)
 
     def projected(self, y: Array) -> Array:
         """Q'F y: all that the estimates need of ``y`` (rows,) or (rows, T)."""

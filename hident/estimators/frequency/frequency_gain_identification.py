@@ -220,16 +220,14 @@ class FrequencyGainIdentification(EstimatorSpec):
         values = self._gain_values(gains) | self._order_values(found, data.m) | _rank_values(gains)
         values |= {"chi2": gains.chi2, "chi2_freedom": float(gains.freedom)}
         values |= {"misfit": gains.misfit, "solutions": float(gains.solutions)}
-        details: dict[str, Any] = {"frequency_gains": gains, "lost": gains.why_lost()}
         values |= {f"omega_{m}": omega for m, omega in self._numbered()}
         if self.nonlinearity is not None:
             values |= coefficient_values(gains.polynomial)
         if self.gauge is not None:
             phases, coefficients = self.gauge.phases(gains, self.fit_level)
             values |= coefficients | self._phase_values(gains.grid, phases)
-            details["phases"] = phases
         nonlinearity = Polynomial(coefficients=tuple(gains.polynomial.coefficients.tolist()))
-        return Estimate(nonlinearity=nonlinearity, values=values, details=details)
+        return Estimate(nonlinearity=nonlinearity, values=values)
 
     def _sines(self, record: Record) -> list[Part]:
         """The experiments with a sine that are used.

@@ -45,8 +45,7 @@ def instrumental_variables(
     Returns
     -------
     Estimate
-        The linear block B/A, the values ``a_1``, ..., ``a_p``, ``b_1``, ..., ``b_q`` and ``c`` = E w_k, and
-        the diagnostic ``condition``: the condition number of Psi'Phi with rows and columns scaled.
+        The linear block B/A, the values ``a_1``, ..., ``a_p``, ``b_1``, ..., ``b_q`` and ``c`` = E w_k.
 
     Raises
     ------
@@ -100,7 +99,7 @@ def instrumental_variables(
             raise EstimationError(
                 "the moving average has no static gain (1 + b_1 + ... is zero): the constant c cannot be told"
             )
-    return dynamics(a, b, constant / float(b.sum()), condition)
+    return dynamics(a, b, constant / float(b.sum()))
 
 
 # A correlation coefficient below this is rounding.

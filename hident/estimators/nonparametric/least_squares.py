@@ -49,11 +49,11 @@ def lagged(x: Array, lags: range, start: int, parts: Parts | None = None) -> Arr
     return in_each(long, rows_of, x, axis=1)
 
 
-def dynamics(a: Array, b: Array, c: float, condition: float) -> Estimate:
+def dynamics(a: Array, b: Array, c: float) -> Estimate:
     """The estimate of a block with numerator ``b`` (b_0 = 1, b_1, ...) and feedback ``a`` (a_1, ..., a_p)."""
     linear = TransferFunction(b=tuple(b.tolist()), a=tuple(a.tolist()))
     values = {name: value for name, value in linear.values().items() if name != "b_0"}
-    return Estimate(linear=linear, values={**values, "c": c}, diagnostics={"condition": condition})
+    return Estimate(linear=linear, values={**values, "c": c})
 
 
 def require_irregular(u: Array, p: int, parts: Parts | None = None) -> None:
@@ -87,8 +87,7 @@ def least_squares(y: Array, p: int, parts: Parts | None = None) -> Estimate:
     Returns
     -------
     Estimate
-        The linear block with b = (1,), the values ``a_1``, ..., ``a_p`` and ``c``, and the diagnostic
-        ``condition``: the condition number of the regressors scaled to length one.
+        The linear block with b = (1,), the values ``a_1``, ..., ``a_p`` and ``c``.
 
     Raises
     ------
@@ -111,7 +110,7 @@ def least_squares(y: Array, p: int, parts: Parts | None = None) -> Estimate:
             f"or the order {p} is too high"
         )
     theta = regression.solution(now)
-    return dynamics(theta[:p], np.ones(1), float(theta[p]), regression.condition)
+    return dynamics(theta[:p], np.ones(1), float(theta[p]))
 
 
 @component("estimator", "least_squares")

@@ -10,13 +10,15 @@ import numpy as np
 from pydantic import Field
 
 from hident.arrays import Array
+from hident.config.references import CaseLabels, EstimatorName
 from hident.config.spec import Count, Real, Spec
 from hident.config.suggest import one_of
+from hident.config.yaml12 import Location
 from hident.engine.experiment import Label, Plan, Unit
 from hident.engine.results import Results
 from hident.engine.trial import FAILURES, Data, Job, estimate, generate, reason
-from hident.records import Estimate, Record, Truth
-from hident.reports.base import FigureSpec, Misfit, Place, Reference, label_references
+from hident.records import Estimate, Record, Truth, needed
+from hident.reports.base import FigureSpec, Misfit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,9 +39,9 @@ Offset = Annotated[Real | str, Field(union_mode="left_to_right")]
 class Shown(Spec):
     """The estimate of one estimator in one case."""
 
-    estimator: str
+    estimator: EstimatorName
     """Name of the estimator."""
-    at: dict[str, Any] = {}
+    at: CaseLabels = {}
     """Labels of axes that choose the case; the first case by default."""
     label: str | None = None
     """Its text in the figure; the estimator's name by default."""
@@ -53,13 +55,8 @@ class Shown(Spec):
         """The unit that is shown."""
         return next(unit for unit in plan.units if unit.name == self.estimator and unit.is_at(self.at))
 
-    def references(self, place: Place) -> Iterator[Reference]:
-        """The names that it refers to; it stands at the place."""
-        yield (*place, "estimator"), "estimator", self.estimator
-        yield from label_references((*place, "at"), self.at)
-
     def misfits(
-        self, plan: Plan, place: Place, *, of_estimate: str = "", of_truth: str = ""
+        self, plan: Plan, place: Location, *, of_estimate: str = "", of_truth: str = ""
     ) -> Iterator[Misfit]:
         """A misfit if the estimator does not give, or the system does not have, the named part."""
         unit = self.unit(plan)
@@ -76,7 +73,7 @@ class Shown(Spec):
 
 
 def offset_misfits(
-    plan: Plan, place: Place, curves: Sequence[Shown], offsets: Mapping[str, Offset]
+    plan: Plan, place: Location, curves: Sequence[Shown], offsets: Mapping[str, Offset]
 ) -> Iterator[Misfit]:
     """A misfit for each offset, by its field, that names no true value of a system that is shown."""
     systems = [curve.unit(plan).data.system.truth().values for curve in curves]
@@ -163,8 +160,7 @@ class OneTrialFigure(FigureSpec):
 
 def true_curve(truth: Truth, x: Array) -> Array:
     """The true characteristic at increasing points, with a gap at each of its break points."""
-    assert truth.nonlinearity is not None
-    y = np.array(truth.nonlinearity(x))
+    y = np.array(needed(truth.nonlinearity)(x))
     y[np.searchsorted(x, [b for b in truth.breakpoints if x[0] < b < x[-1]])] = np.nan
     return y
 

@@ -10,15 +10,14 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from hident.arrays import Array
-from hident.config.spec import Count, Flag, component
-from hident.engine.experiment import Plan
+from hident.config.references import Metric
+from hident.config.spec import Count, Flag, NonEmpty, component
 from hident.engine.results import Results
 from hident.estimators.convergence import History
 from hident.ledger.verdicts import Verdict
 from hident.metrics.base import MetricSpec
-from hident.records import Estimate
-from hident.reports.base import Misfit, Reference, unscored
-from hident.reports.one_trial import OneTrial, OneTrialFigure, Realised, Shown, list_failures
+from hident.records import Estimate, needed
+from hident.reports.one_trial.base import OneTrial, OneTrialFigure, Realised, Shown, list_failures
 from hident.reports.style import TRUTH, legend_above, looks, panel_grid, symbol
 
 if TYPE_CHECKING:
@@ -35,11 +34,11 @@ class Convergence(OneTrialFigure):
     final ones.
     """
 
-    curves: Annotated[tuple[Shown, ...], Field(min_length=1)]
+    curves: NonEmpty[Shown]
     """The estimates whose iterations are shown."""
     of: tuple[str, ...] = ()
     """Names of parameters in the history, one panel each."""
-    metrics: tuple[str, ...] = ()
+    metrics: tuple[Annotated[str, Metric(scores=("curves",))], ...] = ()
     """Labels of metrics that score every iterate, one panel each."""
     y_labels: dict[str, str] = {}
     """Labels of ordinates by parameter or metric, with their units; the name by default."""
@@ -57,17 +56,6 @@ class Convergence(OneTrialFigure):
         if strange := [name for name in self.y_labels if name not in (*self.of, *self.metrics)]:
             raise ValueError(f"y_labels names {', '.join(strange)}, which is not shown")
         return self
-
-    def references(self) -> Iterator[Reference]:
-        for i, curve in enumerate(self.curves):
-            yield from curve.references(("curves", i))
-        for i, metric in enumerate(self.metrics):
-            yield ("metrics", i), "metric", metric
-
-    def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        for i, metric in enumerate(self.metrics):
-            for curve in self.curves:
-                yield from unscored(plan, ("metrics", i), curve.estimator, metric)
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         from matplotlib.ticker import MaxNLocator
@@ -120,13 +108,12 @@ def along(realised: Realised, name: str) -> Array:
 
 def scores(realised: Realised, label: str) -> Array:
     """A metric's number at every iteration, shape (iterations + 1,); nan where there is no estimate."""
-    assert realised.found is not None
-    assert realised.record is not None
+    estimate, record = needed(realised.found), needed(realised.record)
     metric, place = _metric(realised, label)
     found = []
     with np.errstate(all="ignore"):
-        for iterate in iterates(realised.found, realised.detail("history")):
-            scored = np.nan if iterate is None else metric.evaluate(iterate, realised.record)[place]
+        for iterate in iterates(estimate, realised.detail("history")):
+            scored = np.nan if iterate is None else metric.evaluate(iterate, record)[place]
             found.append(scored)
     return np.array(found, dtype=float)
 
