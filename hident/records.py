@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -97,6 +97,16 @@ class Truth:
     values: Mapping[str, float] = field(default_factory=dict)
     breakpoints: tuple[float, ...] = ()
 
+    def provides(self) -> frozenset[str]:
+        """The parts that it holds: ``nonlinearity``, ``linear``, ``response``, ``value NAME``..."""
+        names = ("nonlinearity", "linear", "continuous", "response")
+        return _provided(self, names) | ({"blocks"} if self.blocks else set())
+
+
+def _provided(parts: Truth | Estimate, names: Iterable[str]) -> frozenset[str]:
+    known = {name for name in names if getattr(parts, name) is not None}
+    return frozenset(known | {f"value {name}" for name in parts.values})
+
 
 @dataclass(frozen=True, eq=False)
 class Record:
@@ -113,6 +123,8 @@ class Record:
     parts: Mapping[str, Part] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for name in ("u", "y"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
         if self.u.shape != self.y.shape or self.u.ndim != 1:
             raise ValueError(
                 "u and y must be one-dimensional and of one length, "
@@ -174,3 +186,7 @@ class Estimate:
     values: Mapping[str, float] = field(default_factory=dict)
     diagnostics: Mapping[str, float] = field(default_factory=dict)
     details: Mapping[str, Any] = field(default_factory=dict)
+
+    def provides(self) -> frozenset[str]:
+        """The parts that it holds, spelled as in :meth:`Truth.provides`."""
+        return _provided(self, ("nonlinearity", "linear", "continuous", "response"))

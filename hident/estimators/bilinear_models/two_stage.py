@@ -245,7 +245,7 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
 class TwoStage(WeightedBilinearSpec):
     """Hammerstein system by linear least squares and a singular value decomposition."""
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         phi, y, parts = self.data(record)
         weighted = self.weighted(phi, y, parts)
         found = two_stage(weighted.regression, y)

@@ -69,7 +69,7 @@ class IterativeHammerstein(IterativeSpec):
         if isinstance(self.nonlinearity, ThreeSegment):
             require_inside(self.nonlinearity.partition, record.u, "input")
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         dt = self.sampling_interval(record)
         if self.automatic:
             first, second, search = self._loop(record, dt)

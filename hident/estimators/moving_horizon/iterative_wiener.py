@@ -105,7 +105,7 @@ class IterativeWiener(IterativeSpec):
         if isinstance(self.nonlinearity, FourSegmentSpec):
             require_inside(self.nonlinearity.partition, record.y, "output")
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         dt = self.sampling_interval(record)
         self.check_record(record)
         wiener, first = self._first(record, dt, self.first, self.delay)
