@@ -15,12 +15,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array
 from hident.engine.experiment import Plan, Unit
 from hident.engine.results import Results, Series, grouped
 from hident.engine.store import Store, Trial, Writer
 from hident.engine.trial import OF_METRIC, Data, Job, Outcome, run_trials
 from hident.errors import TrialsCrashed
-from hident.records import Array
 
 _CHUNK_SECONDS = 0.25
 _POLL_SECONDS = 0.1
