@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeVar
@@ -93,6 +93,16 @@ class Truth:
     values: Mapping[str, float] = field(default_factory=dict)
     breakpoints: tuple[float, ...] = ()
 
+    def provides(self) -> frozenset[str]:
+        """The parts that it holds: ``nonlinearity``, ``linear``, ``response``, ``value NAME``..."""
+        names = ("nonlinearity", "linear", "continuous", "response")
+        return _provided(self, names) | ({"blocks"} if self.blocks else set())
+
+
+def _provided(parts: Truth | Estimate, names: Iterable[str]) -> frozenset[str]:
+    known = {name for name in names if getattr(parts, name) is not None}
+    return frozenset(known | {f"value {name}" for name in parts.values})
+
 
 def needed(part: T | None) -> T:
     """A part of a truth or an estimate that is there, as was seen before the run."""
@@ -115,6 +125,8 @@ class Record:
     parts: Mapping[str, Part] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for name in ("u", "y"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
         if self.u.shape != self.y.shape or self.u.ndim != 1:
             raise ValueError(
                 "u and y must be one-dimensional and of one length, "
@@ -175,3 +187,7 @@ class Estimate:
     response: Response | None = None
     values: Mapping[str, float] = field(default_factory=dict)
     details: Mapping[str, Any] = field(default_factory=dict)
+
+    def provides(self) -> frozenset[str]:
+        """The parts that it holds, spelled as in :meth:`Truth.provides`."""
+        return _provided(self, ("nonlinearity", "linear", "continuous", "response"))

@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
@@ -191,11 +191,9 @@ def estimate(data: Data, job: Job, record: Record, seed: int, trial: int) -> Est
         If the estimator does not take the record's experiments; and what its ``fit`` raises.
     """
     job.estimator.require_experiments(record)
-    if job.estimator.draws():
-        rng = data.streams.generator("estimator", seed, job.key, trial)
-    else:
-        # An estimator that draws all the same must crash, not draw from a stream that is not its own.
-        rng = cast(np.random.Generator, None)
+    # An estimator that draws, and does not say so, must crash, not draw from a stream that is not its own.
+    draws = job.estimator.draws()
+    rng = data.streams.generator("estimator", seed, job.key, trial) if draws else None
     return job.estimator.fit(record, rng)
 
 

@@ -242,7 +242,7 @@ class VorosSpec(EstimatorSpec):
             )
         return ratio
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         require_finite(record.y)
         require_varying(record.y, "output")
         self.require_experiments(record)

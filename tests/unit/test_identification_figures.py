@@ -95,7 +95,7 @@ class Stated(EstimatorSpec):
         names = ("a_1", "b_0", "u_-1", "u_1", "y_-1", "y_1")
         return frozenset({"response", "nonlinearity", "continuous", *(f"value {name}" for name in names)})
 
-    def fit(self, record, rng):
+    def fit(self, record, rng=None):
         if self.fails:
             raise EstimationError("the matrix is singular")
         if self.plain:

@@ -11,7 +11,7 @@ from hident.estimators.nonparametric.instrumental_variables import (
     InstrumentalVariables,
     instrumental_variables,
 )
-from hident.estimators.nonparametric.kernel import KernelEstimator, kernel_regression
+from hident.estimators.nonparametric.kernel import Kernel, kernel_regression
 from hident.estimators.nonparametric.known_dynamics import KnownDynamics
 from hident.estimators.nonparametric.least_squares import LeastSquares, least_squares
 from hident.estimators.nonparametric.orthogonal import Orthogonal
@@ -243,9 +243,7 @@ def test_order_of_a_filtered_record_is_that_of_its_input():
 
 
 def kernel_spec(**fields):
-    return KernelEstimator.model_validate(
-        {"kernel": "window_unit", "bandwidth": {"h0": 0.5, "alpha": 0.2}, **fields}
-    )
+    return Kernel.model_validate({"kernel": "window_unit", "bandwidth": {"h0": 0.5, "alpha": 0.2}, **fields})
 
 
 INSTRUMENTS = {"kind": "instrumental_variables", "order": 1, "instrument": "identity"}
@@ -326,7 +324,7 @@ def test_prefilter_without_a_linear_block_is_refused():
         (KnownDynamics, {"b": [0, 0]}, ("b",), "must have a coefficient other than zero"),
         (KnownDynamics, {"b": []}, ("b",), "must be a list of at least one number"),
         (
-            KernelEstimator,
+            Kernel,
             {"prefilter": {**INSTRUMENTS, "order": 0}},
             ("prefilter", "order"),
             "must be greater",
@@ -334,7 +332,7 @@ def test_prefilter_without_a_linear_block_is_refused():
     ],
 )
 def test_wrong_fields(cls, fields, where, message):
-    if cls is KernelEstimator:
+    if cls is Kernel:
         fields = {"kernel": "gaussian", "bandwidth": {"h0": 1, "alpha": 0.2}, **fields}
     with pytest.raises(ValidationError) as error:
         cls.model_validate(fields)

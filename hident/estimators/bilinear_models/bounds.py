@@ -44,7 +44,7 @@ class CramerRao(BilinearSpec):
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset({"nonlinearity", "linear"})
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         phi, parts = self.design(record)
         root = partial(ArModel(np.array(self.noise.a)).whiten, parts=parts) if self.noise else identity
         regression = Regression.of(phi, self.lags, root, self.delay)
@@ -70,7 +70,7 @@ class KnownNonlinearity(WeightedSpec):
         values = {f"value {prefix}{name}" for name in names for prefix in ("", "se_")}
         return self.noise_names() | values | {"linear", "nonlinearity"}
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         phi, y, parts = self.data(record)
         weighted = self.weighted(phi, y, parts)
         theta = weighted.regression.theta(y)

@@ -263,7 +263,7 @@ class SeparableLeastSquares(BilinearSpec):
         values = {f"value {prefix}{name}" for name in self._parameters() for prefix in ("", "se_")}
         return frozenset(values | {"value loss", "value iterations", "linear", "nonlinearity"})
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         phi, y, parts = self.data(record)
         p, n = self.feedback, self.lags
         Regression.of(phi, n, delay=self.delay)

@@ -118,7 +118,7 @@ class BestLinear(EstimatorSpec):
     def check_record(self, record: Record) -> None:
         self._periods(record)
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         require_finite(record.y)
         require_varying(record.y, "output")
         u, y = self._periods(record)

@@ -206,7 +206,7 @@ class FrequencyGainIdentification(EstimatorSpec):
         for part, frequency in zip(sines, omega, strict=True):
             require_samples(frequency, part.dt, self.order)
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         polynomial = self._polynomial(record)
         parts = self._sines(record)
         found = [self._harmonics(part, record) for part in parts]

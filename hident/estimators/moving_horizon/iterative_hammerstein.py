@@ -71,7 +71,7 @@ class IterativeHammerstein(IterativeSpec):
         if isinstance(self.nonlinearity, ThreeSegment):
             require_inside(self.nonlinearity.partition, record.u, "input")
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         dt = self.sampling_interval(record)
         first, second, search = self.stages(
             partial(self._first, record, dt), partial(self._second, record, dt)

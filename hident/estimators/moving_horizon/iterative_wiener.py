@@ -108,7 +108,7 @@ class IterativeWiener(IterativeSpec):
         if isinstance(self.nonlinearity, FourSegmentSpec):
             require_inside(self.nonlinearity.partition, record.y, "output")
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         dt = self.sampling_interval(record)
         self.check_record(record)
         first, second, search = self.stages(

@@ -140,7 +140,7 @@ class InstrumentalVariables(EstimatorSpec):
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (first_coefficient(),)
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         self.require_experiments(record)
         require_finite(record.y)
         require_irregular(record.u, self.order, record.experiments)

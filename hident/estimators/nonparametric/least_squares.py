@@ -141,7 +141,7 @@ class LeastSquares(EstimatorSpec):
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (first_coefficient(),)
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         self.require_experiments(record)
         require_finite(record.y)
         require_irregular(record.u, self.order, record.experiments)
