@@ -25,10 +25,11 @@ from pydantic import (
 from pydantic_core import CoreSchema
 
 from hident.config.load import Document, Problem, override, problems_of, read_leniently
+from hident.config.repeated import repeated
 from hident.config.spec import Component, Count, Of, Spec
 from hident.config.suggest import did_you_mean, one_of
 from hident.config.yaml12 import Complaint, Location, Place, error_of
-from hident.engine.cases import CHANGEABLE, DATA, Axis, Cases, Label, idle_assignments, sound_axes
+from hident.engine.cases import CHANGEABLE, DATA, Axis, Cases, Label, idle_assignments, skips, sound_axes
 from hident.engine.expansion import Expansion, Unit
 from hident.engine.run_files import misnamed
 from hident.engine.trial import Data
@@ -209,10 +210,13 @@ def load(
             [Problem(("version",), f"this hident reads version {FORMAT} of the format", version)]
         )
     complaints: list[Complaint] = []
+    document = repeated(document, Experiment, complaints, untouched=("cases", "skip"))
+    if complaints:
+        raise error_of([*complaints, *document.complaints])
     axes = sound_axes(document, complaints)
     all_axes_sound = not complaints
     complaints += [*document.complaints, *idle_assignments(document, axes, assignments)]
-    expansion = Expansion(document, axes)
+    expansion = Expansion(document, axes, skips(document, axes, complaints))
     # The first label of every axis completes the file: what a case sets need not stand twice.
     first = expansion.document(dict.fromkeys(range(len(axes)), 0))
     try:

@@ -1,0 +1,53 @@
+"""The configurations mean what they meant as they were first written, without variables and repeated entries."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from hident import plugins
+from hident.config.spec import canonical
+from hident.engine.experiment import load
+
+ROOT = Path(__file__).parents[2]
+FIRST = sorted((ROOT / "tests" / "data" / "version_1").glob("*.yaml"))
+
+
+def meaning(path):
+    """Everything that a configuration gives: its units, and what is shown and judged of them."""
+    plan = load(path)
+    units = [
+        {
+            "labels": {axis: str(label) for axis, label in unit.labels.items()},
+            "name": unit.name,
+            "data": canonical(unit.data),
+            "key": unit.data.key,
+            "estimator": canonical(unit.estimator),
+            "metrics": {name: canonical(metric) for name, metric in unit.metrics.items()},
+        }
+        for unit in plan.units
+    ]
+    whole = canonical(plan.experiment)
+    shown = {key: item for key, item in whole.items() if key not in ("cases", "estimators", "metrics")}
+    # The labels as table.csv writes them.
+    labels = pd.DataFrame([unit.labels for unit in plan.units]).to_csv()
+    order = [
+        list(whole[section].items()) for section in ("estimators", "metrics", "tables") if section in whole
+    ]
+    return {
+        "axes": [axis.name for axis in plan.axes],
+        "units": units,
+        **shown,
+        "labels": labels,
+        "order": order,
+    }
+
+
+@pytest.mark.parametrize("path", FIRST, ids=lambda path: path.stem)
+def test_a_configuration_gives_the_same_units_tables_and_figures(path):
+    plugins.load()
+    assert meaning(ROOT / "configs" / path.name) == meaning(path)
+
+
+def test_there_is_a_first_writing_to_compare_with():
+    assert len(FIRST) == 38
