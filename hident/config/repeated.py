@@ -151,10 +151,15 @@ class _Repetition:
         if not isinstance(item, Mapping) or not _is_spec(annotation):
             yield item, values
             return
-        rest = {name: inner for name, inner in item.items() if name != EACH}
-        varied = self._each(item[EACH], rest, old) if EACH in item else []
-        if self._listed and _is_plain(annotation):
-            rest = _slotted(rest, annotation, varied)
+        inside = _fields(annotation, item) if self._listed and _is_plain(annotation) else {}
+        rest: dict[str, Any] = {}
+        varied: list[_Varied] = []
+        for key, value in item.items():
+            if key == EACH:
+                others = {name: inner for name, inner in item.items() if name != EACH}
+                varied += self._each(value, others, old)
+            else:
+                rest[key] = _slotted(key, value, inside.get(key), varied)
         twice = [n for n, c in Counter(n for names, _ in varied for n in names).items() if c > 1]
         for name in twice:
             self._complain(old, f"the variable '{name}' has two lists: write '${name}' in the place of one")
@@ -192,20 +197,15 @@ class _Repetition:
         self._complaints += self._document.complaints_of([Problem(location, message)])
 
 
-def _slotted(value: Mapping[str, Any], annotation: Any, varied: list[_Varied]) -> dict[str, Any]:
-    """An entry with a slot for each list where one text belongs; the lists join the variables."""
-    inside = _fields(annotation, value)
-    found: dict[str, Any] = {}
-    for key, item in value.items():
-        holds = inside.get(key)
-        if isinstance(item, list) and item and not _takes_lists(holds):
-            varied.append(((key,), [(one,) for one in item]))
-            found[key] = _Slot(key)
-        elif isinstance(item, Mapping) and (_is_plain(holds) or _is_mapping(holds)):
-            found[key] = _slotted(item, holds, varied)
-        else:
-            found[key] = item
-    return found
+def _slotted(key: str, value: Any, annotation: Any, varied: list[_Varied]) -> Any:
+    """A value with a slot for each list where one text belongs; the lists join the variables."""
+    if isinstance(value, list) and value and not _takes_lists(annotation):
+        varied.append(((key,), [(one,) for one in value]))
+        return _Slot(key)
+    if isinstance(value, Mapping) and (_is_plain(annotation) or _is_mapping(annotation)):
+        inside = _fields(annotation, value)
+        return {name: _slotted(name, item, inside.get(name), varied) for name, item in value.items()}
+    return value
 
 
 def _alternatives(annotation: Any) -> tuple[Any, ...]:

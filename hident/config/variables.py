@@ -1,7 +1,7 @@
 """Variables in texts: ``$name`` stands for a value, ``${any name}`` too, and ``$$`` for a dollar sign.
 
-What stands between two dollar signs, as mathematics does in labels (``$a_1$``), stays as it is: the first is
-followed and the second preceded by something that is no blank, and no letter, digit or brace follows it.
+What stands between two dollar signs, as mathematics does in labels (``$a_1$``), stays as it is: no blank
+follows the first or precedes the second, and no letter, digit or brace follows the second.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from hident.config.yaml12 import Location, shown
 
 _TOKEN = re.compile(
     r"(?P<dollar>\$\$)"
-    r"|(?P<mathematics>\$(?=\S)[^$]*(?<=\S)\$(?![\w{]))"
     r"|\$\{(?P<braced>[^{}$]+)\}"
+    r"|(?P<mathematics>\$(?=\S)[^$]*(?<=\S)\$(?![\w{]))"
     r"|\$(?P<bare>[A-Za-z_]\w*)"
 )
 _LARGEST_WHOLE = 2**53

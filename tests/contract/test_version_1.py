@@ -10,6 +10,7 @@ from hident.config.spec import canonical
 from hident.engine.experiment import load
 
 ROOT = Path(__file__).parents[2]
+LEFT = ("cases", "estimators", "metrics", "published")
 FIRST = sorted((ROOT / "tests" / "data" / "version_1").glob("*.yaml"))
 
 
@@ -28,16 +29,24 @@ def meaning(path):
         for unit in plan.units
     ]
     whole = canonical(plan.experiment)
-    shown = {key: item for key, item in whole.items() if key not in ("cases", "estimators", "metrics")}
+    shown = {key: item for key, item in whole.items() if key not in LEFT}
+    published = plan.experiment.published
+    cells = [
+        (cell.table, cell.row, *pair, cell.estimator, cell.statistic, cell.at)
+        for cell in (published.cells if published else ())
+        for pair in cell.pairs()
+    ]
     # The labels as table.csv writes them.
-    labels = pd.DataFrame([unit.labels for unit in plan.units]).to_csv()
+    axes = [axis.name for axis in plan.axes]
+    rows = [[unit.labels.get(axis, "") for axis in axes] for unit in plan.units]
+    labels = pd.DataFrame(rows, columns=axes).to_csv()
     order = [
         list(whole[section].items()) for section in ("estimators", "metrics", "tables") if section in whole
     ]
     return {
-        "axes": [axis.name for axis in plan.axes],
+        "axes": axes,
         "units": units,
-        **shown,
+        **shown, "cells": cells, "paper_trials": published and published.paper_trials,
         "labels": labels,
         "order": order,
     }
