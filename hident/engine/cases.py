@@ -15,7 +15,7 @@ from hident.config.load import Document, Problem, problems_of, split_assignment
 from hident.config.spec import Spec
 from hident.config.suggest import did_you_mean, one_of, there_is_no
 from hident.config.variables import cannot_join, stands_alone, stuck, texts, unknown, variables_in
-from hident.config.yaml12 import Complaint, Location, Place, shown
+from hident.config.yaml12 import Complaint, Location, Place, error_of, shown
 from hident.engine.trial import Data
 from hident.errors import ConfigError
 
@@ -162,7 +162,13 @@ def _leaves_out(path: str, value: Any) -> bool:
 
 
 def sound_axes(document: Document, complaints: list[Complaint]) -> tuple[Axis, ...]:
-    """The axes that can be applied; what is wrong with the others goes to the complaints."""
+    """The axes that can be applied; what is wrong with the others goes to the complaints.
+
+    Raises
+    ------
+    ConfigError
+        If it is not clear which value a variable has: the rest cannot be judged.
+    """
     sound: list[Axis] = []
     cases = document.data.get("cases", {})
     at_first, every = document, True
@@ -179,15 +185,17 @@ def sound_axes(document: Document, complaints: list[Complaint]) -> tuple[Axis, .
     for axis in axes:
         problems = [Problem(("cases", axis.name), message) for message in _unsound(axis, document.data)]
         if not problems:
-            problems = list(variables.problems(axis))
+            problems = list(variables.idle(axis))
         found = document.complaints_of(problems) or _misplaced(axis, at_first)
         if found:
             complaints += found
         else:
             sound.append(replace(axis, uses=variables.uses(axis)))
             at_first = axis.apply(at_first, 0)
-    if every:
-        complaints += document.complaints_of(variables.unknown())
+    unclear = document.complaints_of(variables.unclear(unknown_too=every))
+    known = {axis.name for axis in sound}
+    if unclear or any(variables.uses(axis) for axis in axes if axis.name not in known):
+        raise error_of([*document.complaints, *complaints, *unclear])
     return tuple(sound)
 
 
@@ -213,22 +221,15 @@ class _Variables:
 
     def uses(self, axis: Axis) -> frozenset[tuple[str, ...]]:
         """What names a variable of the axis."""
-        own = self._names(axis)
+        own = {*self._names(axis)}
         return frozenset(root for _, root, text in self._texts if own.intersection(variables_in(text)))
 
-    def problems(self, axis: Axis) -> Iterator[Problem]:
-        """What is wrong with the variables of an axis."""
-        at = ("cases", axis.name)
+    def idle(self, axis: Axis) -> Iterator[Problem]:
+        """The variables of an axis that nothing uses, though the axis does nothing else."""
         used = {name for _, _, text in self._texts for name in variables_in(text)}
         for name in self._names(axis):
-            for other in self._axes:
-                if other is not axis and name in self._names(other):
-                    yield Problem(at, f"the axis '{other.name}' has a variable '{name}' too")
-            for label, own in zip(axis.labels, axis.variables, strict=True):
-                if name not in own:
-                    yield Problem((*at, label), f"must set '${name}', as other labels do")
             if name not in used and (name != axis.name or self._only_names(axis)):
-                yield Problem(at, self._idle(name))
+                yield Problem(("cases", axis.name), self._idle(name, axis))
 
     def _only_names(self, axis: Axis) -> bool:
         """Whether an axis does nothing but give its variable values."""
@@ -236,19 +237,31 @@ class _Variables:
         values = written.values() if isinstance(written, Mapping) else written
         return not any(axis.patches) and not any(isinstance(value, Mapping) for value in values)
 
-    def _idle(self, name: str) -> str:
+    def _idle(self, name: str, axis: Axis) -> str:
+        if name != axis.name:
+            return f"nothing uses '${name}'"
         head = name.partition(".")[0]
         near = did_you_mean(head, CHANGEABLE)
         cannot = f"a case cannot change '{head}'{near} (it can: {one_of(CHANGEABLE)})"
         return f"{cannot}, and nothing uses '${name}'"
 
-    def unknown(self) -> Iterator[Problem]:
-        """Names that are those of no variable, and values that cannot stand where their variable does."""
-        known = {name: axis for axis in self._axes for name in self._names(axis)}
+    def unclear(self, *, unknown_too: bool) -> Iterator[Problem]:
+        """Variables whose value is not clear, and values that cannot stand where their variable does."""
+        known: dict[str, Axis] = {}
+        for axis in self._axes:
+            at = ("cases", axis.name)
+            for name in self._names(axis):
+                other = known.setdefault(name, axis)
+                if other is not axis:
+                    yield Problem(at, f"the axis '{other.name}' has a variable '{name}' too")
+                for label, own in zip(axis.labels, axis.variables, strict=True):
+                    if name not in own:
+                        yield Problem((*at, label), f"must set '${name}', as other labels do")
         for at, root, text in self._texts:
             for name in variables_in(text):
                 if name not in known:
-                    yield Problem(at, unknown(name, known, "axis"))
+                    if unknown_too:
+                        yield Problem(at, unknown(name, known, "axis"))
                 elif root[0] == "metrics" and at[2:3] == ("estimators",):
                     yield Problem(at, "a case cannot change the estimators of a metric")
                 elif not stands_alone(text):
@@ -257,8 +270,8 @@ class _Variables:
                             yield Problem(at, cannot_join(name, own[name]))
 
     @staticmethod
-    def _names(axis: Axis) -> frozenset[str]:
-        return frozenset(itertools.chain.from_iterable(axis.variables))
+    def _names(axis: Axis) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(itertools.chain.from_iterable(axis.variables)))
 
 
 def skips(document: Document, axes: Sequence[Axis], complaints: list[Complaint]) -> tuple[Skip, ...]:

@@ -217,7 +217,7 @@ def _validated(root: tuple[str, ...], data: Mapping[str, Any]) -> Any:
             return Data.model_validate({name: data[name] for name in DATA if name in data})
 
 
-def _missing(needs: frozenset[str], given: frozenset[str]) -> list[str]:
+def not_given(needs: frozenset[str], given: frozenset[str]) -> list[str]:
     """The needs that are not given; "linear or continuous" is met by either."""
     return sorted(need for need in needs if given.isdisjoint(need.split(" or ")))
 
@@ -254,7 +254,7 @@ def _mismatches(unit: Unit) -> Iterator[Problem]:
         )
         return
     true, estimated = data.system.provides(), unit.estimator.provides()
-    for missing in _missing(unit.estimator.needs_of_truth(), true):
+    for missing in not_given(unit.estimator.needs_of_truth(), true):
         yield Problem(
             ("estimators", unit.name),
             f"the estimator '{unit.estimator.kind}' needs the {missing} of the system, which "
@@ -269,13 +269,13 @@ def _mismatches(unit: Unit) -> Iterator[Problem]:
 
 def _unmet(unit: Unit, metric: MetricSpec, true: frozenset[str], estimated: frozenset[str]) -> Iterator[str]:
     """What a metric needs and does not get."""
-    unknown = _missing(metric.needs_of_truth(), true)
+    unknown = not_given(metric.needs_of_truth(), true)
     for missing in unknown:
         yield (
             f"the metric '{metric.kind}' needs the {missing} of the system, which "
             f"'{unit.data.system.kind}' does not have (it has: {one_of(sorted(true))})"
         )
-    for missing in sorted({*_missing(metric.needs_of_estimate(), estimated)} - {*unknown}):
+    for missing in sorted({*not_given(metric.needs_of_estimate(), estimated)} - {*unknown}):
         yield (
             f"the metric '{metric.kind}' needs the {missing} of the estimate, which estimator "
             f"'{unit.name}' ({unit.estimator.kind}) does not give (it gives: "

@@ -1,4 +1,4 @@
-"""The configurations mean what they meant as they were first written, without variables and repeated entries."""
+"""The configurations mean what they meant before there were variables and repeated entries."""
 
 from pathlib import Path
 
@@ -46,7 +46,9 @@ def meaning(path):
     return {
         "axes": axes,
         "units": units,
-        **shown, "cells": cells, "paper_trials": published and published.paper_trials,
+        **shown,
+        "cells": cells,
+        "paper_trials": published and published.paper_trials,
         "labels": labels,
         "order": order,
     }

@@ -469,9 +469,9 @@ class TestMessages:
             (
                 ("samples: 50", "samples: 50\nestimators2: 3"),
                 [
-                    "11: estimators2: unknown key; did you mean 'estimators'? (allowed: cases, skip, samples, dt, "
-                    "system, excitation, noise, streams, version, title, paper, seed, trials, estimators, "
-                    "metrics, tables, figures, published)"
+                    "11: estimators2: unknown key; did you mean 'estimators'? (allowed: cases, skip, "
+                    "samples, dt, system, excitation, noise, streams, version, title, plugins, paper, seed, "
+                    "trials, estimators, metrics, tables, figures, published)"
                 ],
             ),
             (
