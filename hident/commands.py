@@ -16,8 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hident import arithmetic, plugins
-from hident.config.spec import PLURALS, components, json_schema
+from hident.config.schema import json_schema
+from hident.config.spec import PLURALS, components
 from hident.config.suggest import did_you_mean, one_of
+from hident.engine.cases import DATA
 from hident.engine.experiment import Experiment, Plan, load
 from hident.engine.runner import CrashReport, complete, stored
 from hident.engine.store import Store
@@ -121,7 +123,7 @@ def run_plans(
                     break
         return code
 
-    return _on_workers(work, place, jobs, plugin_files)
+    return _on_workers(work, place, jobs, _files(plans, plugin_files))
 
 
 def _on_workers(
@@ -147,6 +149,12 @@ def _on_workers(
     finally:
         end(executor)
     return code
+
+
+def _files(plans: Iterable[Plan], plugin_files: Iterable[Path]) -> tuple[Path, ...]:
+    """The plugin files that workers need."""
+    named = [file for plan in plans for file in plan.plugin_files]
+    return tuple(dict.fromkeys([*plugin_files, *named]))
 
 
 def warn_of_arithmetic() -> None:
@@ -217,7 +225,7 @@ def accept_plans(
             print(accept(place.out / plan.name, results, measure, perturbations))
         return Exit.FINE
 
-    return _on_workers(work, place, jobs, plugin_files)
+    return _on_workers(work, place, jobs, _files(plans, plugin_files))
 
 
 def _sensitivity(
@@ -409,7 +417,7 @@ def print_diagnosis(store: Path, plugin_files: Sequence[Path]) -> Exit:
 def schema(plugin_files: Iterable[Path], *, unicode: bool = True) -> str:
     """The JSON Schema of configurations, in ASCII alone if it is to be."""
     plugins.load(plugin_files)
-    return json.dumps(json_schema(Experiment), indent=2, ensure_ascii=not unicode)
+    return json.dumps(json_schema(Experiment, DATA), indent=2, ensure_ascii=not unicode)
 
 
 def export(plan: Plan, folder: Path, file: Path) -> str:

@@ -23,15 +23,19 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema
 
+from hident import plugins
 from hident.config.load import Document, Problem, override, problems_of, read_leniently
 from hident.config.references import CaseLabels, EstimatorName, Metric, Template, referring
+from hident.config.repeated import repeated
 from hident.config.spec import Component, Count, Of, Spec
 from hident.config.suggest import did_you_mean, one_of
-from hident.config.yaml12 import Complaint, Place, error_of
-from hident.engine.cases import CHANGEABLE, DATA, Axis, Cases, Label, idle_assignments, sound_axes
+from hident.config.yaml12 import Complaint, Location, Place, error_of
+from hident.engine.cases import CHANGEABLE, DATA, Axis, Cases, Label, idle_assignments, skips, sound_axes
+from hident.engine.every_value import with_every_value
 from hident.engine.expansion import Expansion, Unit
 from hident.engine.run_files import misnamed
 from hident.engine.trial import Data
+from hident.errors import ConfigError
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
 
@@ -109,6 +113,8 @@ class Experiment(Data, Cases):
     """Version of the file format: 1."""
     title: str
     """One line for listings and reports."""
+    plugins: tuple[str, ...] = ()
+    """Files of Python, beside this one, that add components."""
     paper: str | None = None
     """Folder under experiments/ with the printed numbers and the reasons."""
     seed: Annotated[Count, Field(ge=0)] = 1
@@ -187,6 +193,11 @@ class Plan:
         return Path()
 
     @property
+    def plugin_files(self) -> tuple[Path, ...]:
+        """The files under ``plugins``, which processes that compute its trials need."""
+        return _beside(self.path, self.experiment.plugins)
+
+    @property
     def paper(self) -> Path | None:
         """The folder with the paper's printed numbers."""
         paper = self.experiment.paper
@@ -213,12 +224,18 @@ def load(
             [Problem(("version",), f"this hident reads version {FORMAT} of the format", version)]
         )
     complaints: list[Complaint] = []
+    _load_plugins(document, path)
+    document = repeated(document, Experiment, complaints, untouched=("cases", "skip"))
+    if complaints:
+        raise error_of([*complaints, *document.complaints])
     axes = sound_axes(document, complaints)
     all_axes_sound = not complaints
+    at_first = dict.fromkeys(range(len(axes)), 0)
+    document = with_every_value(document, Expansion(document, axes).document(at_first), complaints)
     complaints += [*document.complaints, *idle_assignments(document, axes, assignments)]
-    expansion = Expansion(document, axes)
+    expansion = Expansion(document, axes, skips(document, axes, complaints))
     # The first label of every axis completes the file: what a case sets need not stand twice.
-    first = expansion.document(dict.fromkeys(range(len(axes)), 0))
+    first = expansion.document(at_first)
     try:
         experiment = Experiment.model_validate(first.data)
     except ValidationError as error:
@@ -242,6 +259,34 @@ def load(
     if complaints:
         raise error_of(complaints)
     return plan
+
+
+def _beside(path: Path, names: Iterable[str]) -> tuple[Path, ...]:
+    return tuple(path.parent / name for name in names)
+
+
+def _load_plugins(document: Document, path: Path) -> None:
+    """Load the files under ``plugins``.
+
+    Raises
+    ------
+    ConfigError
+        With one line for each that cannot be loaded.
+    """
+    written = document.data.get("plugins")
+    names = [name for name in written if isinstance(name, str)] if isinstance(written, list) else []
+    problems = []
+    for i, (name, file) in enumerate(zip(names, _beside(path, names), strict=True)):
+        if not file.is_file():
+            near = did_you_mean(name, [other.name for other in sorted(path.parent.glob("*.py"))])
+            problems.append(Problem(("plugins", i), f"there is no file {file}{near}"))
+            continue
+        try:
+            plugins.load([file])
+        except ConfigError as error:
+            problems.append(Problem(("plugins", i), str(error)))
+    if problems:
+        raise document.error(problems)
 
 
 def _missing_paper(plan: Plan) -> Iterator[Problem]:
