@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
@@ -32,6 +33,7 @@ from hident.engine.cases import CHANGEABLE, DATA, Axis, Cases, Label, idle_assig
 from hident.engine.expansion import Expansion, Unit
 from hident.engine.run_files import misnamed
 from hident.engine.trial import Data
+from hident.errors import ConfigError
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
 
@@ -161,13 +163,56 @@ class Experiment(Data, Cases):
 
 @dataclass(frozen=True)
 class Plan:
-    """An experiment with its file, its axes and its units."""
+    """An experiment with its file, its axes and its units; nothing about it changes once it is known.
+
+    With a ``perturbation`` k > 0, the records are those of :func:`hident.engine.trial.generate` a last bit
+    away, and the scores are stored under keys of their own.
+    """
 
     path: Path
     document: Document
     experiment: Experiment
     axes: tuple[Axis, ...]
     units: tuple[Unit, ...]
+    perturbation: int = 0
+    _paper_files: dict[str, bytes | None] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def seed(self) -> int:
+        """The seed of all random streams."""
+        return self.experiment.seed
+
+    @property
+    def trials(self) -> int:
+        """The number of trials of every unit."""
+        return self.experiment.trials
+
+    @cached_property
+    def keys(self) -> tuple[dict[str, str], ...]:
+        """For each unit, the keys of its stored trials by the names of its metrics (:meth:`Unit.keys`)."""
+        return tuple(unit.keys(self.seed, self.perturbation) for unit in self.units)
+
+    def changed(
+        self, *, trials: int | None = None, seed: int | None = None, perturbation: int | None = None
+    ) -> Plan:
+        """The plan with another number of trials, another seed or another perturbation.
+
+        Raises
+        ------
+        ConfigError
+            If there is no trial, or the seed or the perturbation is negative.
+        """
+        given = {"trials": trials, "seed": seed}
+        experiment = self.experiment.model_copy(
+            update={name: value for name, value in given.items() if value is not None}
+        )
+        perturbation = self.perturbation if perturbation is None else perturbation
+        if experiment.trials < 1 or min(experiment.seed, perturbation) < 0:
+            raise ConfigError(
+                "trials must be at least 1, seed and perturbation at least 0, not "
+                f"{experiment.trials}, {experiment.seed} and {perturbation}"
+            )
+        return replace(self, experiment=experiment, perturbation=perturbation)
 
     @property
     def name(self) -> str:
@@ -187,6 +232,24 @@ class Plan:
         """The folder with the paper's printed numbers."""
         paper = self.experiment.paper
         return None if paper is None else self.root / "experiments" / paper
+
+    def paper_file(self, name: str) -> bytes | None:
+        """A file of the paper's folder as it was when it was first asked for; None if there was none.
+
+        Raises
+        ------
+        ConfigError
+            If the file cannot be read.
+        """
+        if self.paper is not None and name not in self._paper_files:
+            path = self.paper / name
+            try:
+                self._paper_files[name] = path.read_bytes()
+            except FileNotFoundError:
+                self._paper_files[name] = None
+            except OSError as error:
+                raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from None
+        return self._paper_files.get(name)
 
 
 def load(
@@ -278,9 +341,9 @@ def _unknown_names(experiment: Experiment, axes: Sequence[Axis]) -> Iterator[Pro
     }
     for family in ("tables", "figures"):
         for name, spec in getattr(experiment, family).items():
-            for field, what, referred in spec.references():
+            for referring, what, referred in spec.references():
                 # A field is named, or is the path of a key inside it, such as ("columns", 0, "estimator").
-                at = field if isinstance(field, tuple) else (field,)
+                at = referring if isinstance(referring, tuple) else (referring,)
                 yield from unknown((family, name, *at), what, referred, known.get(what, [referred]))
     for i, cell in enumerate(experiment.published.cells if experiment.published else ()):
         at = ("published", "cells", i)
@@ -295,6 +358,6 @@ def _unknown_names(experiment: Experiment, axes: Sequence[Axis]) -> Iterator[Pro
             )
         quantity_field = "quantities" if cell.quantities else "quantity"
         texts = [("row", cell.row), *((quantity_field, quantity) for quantity, _ in cell.pairs())]
-        for field, text in texts:
+        for written, text in texts:
             for axis in re.findall(r"{([^{}]*)}", text):
-                yield from unknown((*at, field), "axis", axis, known["axis"])
+                yield from unknown((*at, written), "axis", axis, known["axis"])

@@ -37,7 +37,7 @@ def check_records(plan: Plan) -> None:
                 if key not in records:
                     # A simulation that fails is a failed trial of the run to come.
                     records[key] = None
-                    records[key] = generate(unit.data, plan.experiment.seed, 0)
+                    records[key] = generate(unit.data, plan.seed, 0)
                 if (record := records[key]) is not None:
                     unit.estimator.check_record(record)
         except SimulationError:

@@ -88,7 +88,7 @@ class AgainstTruth(TableSpec):
                 row.append(f"{verdict.printed.printed} {SIGNS[verdict.word]}" if verdict else "")
             rows.append((*row, *(self._ours(shown[column, name]) for column in self.estimators)))
         header = (self.row_header, "truth", *(["printed"] if printed else []), *self.estimators)
-        notes = ("Ours: mean ± standard deviation over the trials.", *_missing(shown, results.trials))
+        notes = ("Ours: mean ± standard deviation over the trials.", *_missing(shown, results.plan.trials))
         legend = (LEGEND, *intervals([*printed.values()])) if printed else ()
         return Table(self.title, header, tuple(rows), (*notes, *legend))
 
@@ -138,7 +138,7 @@ class Signals(OneTrialFigure):
         data = self.curve.unit(results.plan).data
         try:
             with np.errstate(all="ignore"):
-                record = generate(data, results.seed, self.trial)
+                record = generate(data, results.plan.seed, self.trial)
         except SimulationError as error:
             say_failed(above, "no record")
             say_failed(below, f"failed: {error}")

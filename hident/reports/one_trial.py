@@ -142,14 +142,14 @@ class OneTrial:
             with np.errstate(all="ignore"):
                 record = self._record(unit.data)
                 job = Job(unit.estimator, ())
-                found = estimate(unit.data, job, record, self._results.seed, self._trial)
+                found = estimate(unit.data, job, record, self._results.plan.seed, self._trial)
         except FAILURES as error:
             return Realised(unit, truth, record, None, reason(error))
         return Realised(unit, truth, record, found)
 
     def _record(self, data: Data) -> Record:
         if data.key not in self._records:
-            self._records[data.key] = generate(data, self._results.seed, self._trial)
+            self._records[data.key] = generate(data, self._results.plan.seed, self._trial)
         return self._records[data.key]
 
 

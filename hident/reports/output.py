@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import platform
 import shutil
@@ -9,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
@@ -23,6 +25,7 @@ from hident.engine.results import Results
 from hident.engine.run_files import CRASHES, PAGE, RUN, TABLE, TRIALS, VERDICTS, figure_file, table_file
 from hident.engine.trial import digest
 from hident.errors import ConfigError, StoreError
+from hident.ledger.published import PUBLISHED, REASONS
 from hident.ledger.run_folder import altered, file_digest, read_run
 from hident.ledger.run_folder import written as written_run
 from hident.ledger.trial_values import TrialValues
@@ -36,70 +39,76 @@ State = Literal["none", "old", "altered", "up to date"]
 _PACKAGES = ("numpy", "scipy", "finufft", "pandas", "matplotlib", "pydantic")
 
 
-def output_key(plan: Plan, seed: int, trials: int) -> str:
-    """Hash of everything that the written files depend on."""
-    experiment, paper = plan.experiment, plan.paper
-    files = [] if paper is None else [paper / "published.csv", paper / "reasons.yaml"]
-    return digest(
-        {
-            "units": [unit.keys(seed) for unit in plan.units],
-            "trials": trials,
-            "experiment": canonical(experiment),
-            "paper": [file_digest(f) for f in files if f.is_file()],
-            "code": code(["hident.reports.output", *_modules(experiment.tables, experiment.figures)]),
-            "libraries": [version(name) for name in _PACKAGES],
+class Outputs:
+    """The outputs of a plan in a folder."""
+
+    def __init__(self, plan: Plan, folder: Path) -> None:
+        self.plan, self.folder = plan, folder
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of everything that the files depend on, with the paper's files as the plan knows them."""
+        experiment = self.plan.experiment
+        return digest(
+            {
+                "units": self.plan.keys,
+                "trials": self.plan.trials,
+                "experiment": canonical(experiment),
+                "paper": [
+                    content and hashlib.sha256(content).hexdigest()
+                    for content in map(self.plan.paper_file, (PUBLISHED, REASONS))
+                ],
+                "code": code(["hident.reports.output", *_modules(experiment.tables, experiment.figures)]),
+                "libraries": [version(name) for name in _PACKAGES],
+            }
+        )
+
+    def state(self) -> State:
+        """Whether the folder holds, unaltered, what a run of the plan writes."""
+        if not (self.folder / RUN).exists():
+            return "none"
+        provenance = (read_run(self.folder) or {}).get("provenance")
+        if not isinstance(provenance, dict) or "key" not in provenance:
+            return "altered"
+        if provenance["key"] != self.key:
+            return "old"
+        return "altered" if altered(self.folder) else "up to date"
+
+    def write(self, results: Results, run: Mapping[str, Any]) -> None:
+        """Write tables, figures, verdicts and run.json; ``run`` joins the provenance.
+
+        Raises
+        ------
+        StoreError
+            If the folder cannot be written.
+        ConfigError
+            If a table or the verdicts ask for a printed number that does not exist.
+        """
+        verdicts, folder = judge(results), self.folder
+        tables = {
+            name: spec.build(results, verdicts)
+            for name, spec in self.plan.experiment.tables.items()
+            if isinstance(spec, TableSpec)
         }
-    )
-
-
-def state(folder: Path, key: str) -> State:
-    """Whether the folder holds, unaltered, what a run with this key wrote."""
-    if not (folder / RUN).exists():
-        return "none"
-    provenance = (read_run(folder) or {}).get("provenance")
-    if not isinstance(provenance, dict) or "key" not in provenance:
-        return "altered"
-    if provenance["key"] != key:
-        return "old"
-    return "altered" if altered(folder) else "up to date"
-
-
-def write(results: Results, folder: Path, run: Mapping[str, Any]) -> None:
-    """Write tables, figures, verdicts and run.json; ``run`` joins the provenance.
-
-    Raises
-    ------
-    StoreError
-        If the folder cannot be written.
-    ConfigError
-        If a table or the verdicts ask for a printed number that does not exist.
-    """
-    verdicts = judge(results)
-    experiment = results.plan.experiment
-    tables = {
-        name: spec.build(results, verdicts)
-        for name, spec in experiment.tables.items()
-        if isinstance(spec, TableSpec)
-    }
-    staged = folder / ".new"
-    try:
-        shutil.rmtree(staged, ignore_errors=True)
-        staged.mkdir(parents=True)
-        files = _write_text_files(results, verdicts, tables, staged)
-        files += _write_figures(results, verdicts, staged)
-        _write_text(staged / RUN, _run_json(results, staged, files, run))
-        for stale in {*_listed(folder), CRASHES} - set(files):
-            (folder / stale).unlink(missing_ok=True)
-        for name in (*files, RUN):
-            (staged / name).replace(folder / name)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise StoreError(
-            f"{error.filename2 or folder} cannot be written ({reason}). All trials are kept: make room for "
-            "the outputs, or name another folder with --out, and run again"
-        ) from None
-    finally:
-        shutil.rmtree(staged, ignore_errors=True)
+        staged = folder / ".new"
+        try:
+            shutil.rmtree(staged, ignore_errors=True)
+            staged.mkdir(parents=True)
+            files = _write_text_files(results, verdicts, tables, staged)
+            files += _write_figures(results, verdicts, staged)
+            _write_text(staged / RUN, _run_json(self.plan, staged, files, {**run, "key": self.key}))
+            for stale in {*_listed(folder), CRASHES} - set(files):
+                (folder / stale).unlink(missing_ok=True)
+            for name in (*files, RUN):
+                (staged / name).replace(folder / name)
+        except OSError as error:
+            reason = (error.strerror or str(error)).lower()
+            raise StoreError(
+                f"{error.filename2 or folder} cannot be written ({reason}). All trials are kept: make room "
+                "for the outputs, or name another folder with --out, and run again"
+            ) from None
+        finally:
+            shutil.rmtree(staged, ignore_errors=True)
 
 
 def check(plan: Plan) -> None:
@@ -136,7 +145,7 @@ def keep_tracebacks(tracebacks: str, folder: Path) -> Path | None:
 def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str, Table]) -> str:
     """The text of table.md."""
     experiment = results.plan.experiment
-    parts = [f"# {experiment.title}", f"{results.trials} trials, seed {results.seed}."]
+    parts = [f"# {experiment.title}", f"{results.plan.trials} trials, seed {results.plan.seed}."]
     if said := list(scoring(results.plan)):
         parts.append(" ".join(said))
     parts += [table.markdown() for table in tables.values()]
@@ -220,15 +229,14 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
     return names
 
 
-def _run_json(results: Results, folder: Path, files: Sequence[str], run: Mapping[str, Any]) -> str:
-    plan = results.plan
+def _run_json(plan: Plan, folder: Path, files: Sequence[str], run: Mapping[str, Any]) -> str:
     resolved = canonical(plan.experiment)
     content: dict[str, Any] = {
         "experiment": {
             "config": plan.name,
             "hash": digest(resolved),
-            "seed": results.seed,
-            "trials": results.trials,
+            "seed": plan.seed,
+            "trials": plan.trials,
             "resolved": resolved,
         },
         "files": sorted(files),
@@ -242,7 +250,6 @@ def _run_json(results: Results, folder: Path, files: Sequence[str], run: Mapping
             "arithmetic": {"identity": arithmetic.identity(), **arithmetic.in_use()},
             "finished": datetime.now(UTC).isoformat(timespec="seconds"),
             **run,
-            "key": output_key(plan, results.seed, results.trials),
         },
     }
     content["provenance"]["sha256"] = {

@@ -140,8 +140,8 @@ class Efficiency(TableSpec):
             )
             for row in data.itertuples(index=False)
         )
-        error = np.sqrt(2.0 / max(results.trials - 1, 1))
-        note = f"Relative standard error of each entry: {error:.3f} ({results.trials} trials)."
+        error = np.sqrt(2.0 / max(results.plan.trials - 1, 1))
+        note = f"Relative standard error of each entry: {error:.3f} ({results.plan.trials} trials)."
         return Table(self.title, tuple(map(str, data.columns)), shown, (note,), data)
 
     def efficiencies(self, results: Results, estimator: str, case: Series) -> list[float]:
@@ -249,7 +249,7 @@ class Gain(FigureSpec):
         x = np.arange(len(pairs))
         ours = ratios([a.value("std") for a, _ in pairs], [b.value("std") for _, b in pairs])
         # Independent or not, the ratio's error is at most that of independent spreads.
-        error = ours / np.sqrt(max(results.trials - 1, 1))
+        error = ours / np.sqrt(max(results.plan.trials - 1, 1))
         axes.errorbar(
             x,
             ours,

@@ -3,7 +3,7 @@
 import pytest
 
 from hident.errors import ConfigError
-from hident.reports.output import check, markdown, write
+from hident.reports.output import Outputs, check, markdown
 from tests.unit.results_maker import made
 
 LABELLED = "  size:\n    small: {noise: {kind: white, std: 1}}\n    large: {noise: {kind: white, std: 2}}\n"
@@ -88,7 +88,7 @@ def test_empty_lists_and_intervals_are_refused(tmp_path, rest):
 def test_a_label_that_is_no_mathematics_is_named(tmp_path):
     results = made(tmp_path, {}, rest=curve(x="samples", x_label="'$\\foo$'"))
     with pytest.raises(ConfigError, match=r"figures.f: cannot be drawn \(.*\). All trials are kept"):
-        write(results, tmp_path / "out", {})
+        Outputs(results.plan, tmp_path / "out").write(results, {})
     assert not (tmp_path / "out" / "run.json").exists()
 
 
