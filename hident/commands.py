@@ -109,7 +109,9 @@ def run_plans(
         code = Exit.FINE
         for plan in plans:
             try:
-                _run_plan(plan, place, executor, workers, keep_going=keep_going, quiet=quiet)
+                for undrawn in _run_plan(plan, place, executor, workers, keep_going=keep_going, quiet=quiet):
+                    print(f"error: {undrawn}; all other outputs are written", file=sys.stderr)
+                    code = max(code, Exit.DIFFERS)
                 if not quiet and len(plans) == 1:
                     print((place.out / plan.name / "table.md").read_text(encoding="utf-8"))
             except CrashReport as crash:
@@ -157,14 +159,15 @@ def warn_of_arithmetic() -> None:
 
 def _run_plan(
     plan: Plan, place: Place, executor: Executor, workers: int, *, keep_going: bool, quiet: bool
-) -> None:
+) -> tuple[str, ...]:
+    """Run a plan, if its outputs are not there; a message for each figure that cannot be drawn."""
     from hident.engine.preflight import check_records
     from hident.engine.runner import run
     from hident.progress import chosen
     from hident.reports.output import Outputs
 
     outputs = Outputs(plan, place.out / plan.name)
-    note = f"{plan.name}: {outputs.folder} is up to date"
+    note, undrawn = f"{plan.name}: {outputs.folder} is up to date", ()
     if outputs.state() != "up to date":
         with Store(place.store).writing(place.wait) as writer:
             # Asked again, as another run may have held the store until now.
@@ -180,10 +183,11 @@ def _run_plan(
                     progress=chosen(plan.name, quiet=quiet),
                 )
                 wall = round(time.perf_counter() - start, 3)
-                outputs.write(results, {"workers": workers, "wall_seconds": wall})
+                undrawn = outputs.write(results, {"workers": workers, "wall_seconds": wall})
                 note = f"{plan.name}: wrote {outputs.folder}"
     if not quiet:
         print(note, file=sys.stderr)
+    return undrawn
 
 
 def accept_plans(

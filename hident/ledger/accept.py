@@ -95,6 +95,9 @@ def _files(ours: Path, config: str) -> set[PurePath]:
     if not path.is_file():
         raise NothingToCompare(f"{ours} holds no finished run: hident run {config}")
     match read_run(ours):
+        case {"undrawn": [*undrawn]} if undrawn:
+            names = one_of(map(str, undrawn))
+            raise ConfigError(f"{ours} lacks {names}, which could not be drawn: hident run {config}")
         case {"files": [*listed]} if all(isinstance(name, str) for name in listed):
             files = {PurePath(name) for name in (RUN, *listed)}
         case _:

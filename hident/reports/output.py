@@ -24,7 +24,7 @@ from hident.engine.fingerprint import code
 from hident.engine.results import Results
 from hident.engine.run_files import CRASHES, PAGE, RUN, TABLE, TRIALS, VERDICTS, figure_file, table_file
 from hident.engine.trial import digest
-from hident.errors import ConfigError, StoreError
+from hident.errors import StoreError
 from hident.ledger.published import PUBLISHED, REASONS
 from hident.ledger.run_folder import altered, file_digest, read_run
 from hident.ledger.run_folder import written as written_run
@@ -35,7 +35,7 @@ from hident.reports.scoring import scoring
 from hident.reports.style import style
 from hident.reports.tables import failures, written
 
-State = Literal["none", "old", "altered", "up to date"]
+State = Literal["none", "old", "altered", "incomplete", "up to date"]
 _PACKAGES = ("numpy", "scipy", "finufft", "pandas", "matplotlib", "pydantic")
 
 
@@ -67,15 +67,22 @@ class Outputs:
         """Whether the folder holds, unaltered, what a run of the plan writes."""
         if not (self.folder / RUN).exists():
             return "none"
-        provenance = (read_run(self.folder) or {}).get("provenance")
+        run = read_run(self.folder) or {}
+        provenance = run.get("provenance")
         if not isinstance(provenance, dict) or "key" not in provenance:
             return "altered"
         if provenance["key"] != self.key:
             return "old"
-        return "altered" if altered(self.folder) else "up to date"
+        if altered(self.folder):
+            return "altered"
+        return "incomplete" if run.get("undrawn") else "up to date"
 
-    def write(self, results: Results, run: Mapping[str, Any]) -> None:
+    def write(self, results: Results, run: Mapping[str, Any]) -> tuple[str, ...]:
         """Write tables, figures, verdicts and run.json; ``run`` joins the provenance.
+
+        Returns a message for each figure that cannot be drawn, such as one with a label that is no
+        mathematics: all else is written, and run.json lists the files of the figures as ``undrawn``.
+        Whatever else a figure raises is a fault, and is raised when all else is written.
 
         Raises
         ------
@@ -95,8 +102,11 @@ class Outputs:
             shutil.rmtree(staged, ignore_errors=True)
             staged.mkdir(parents=True)
             files = _write_text_files(results, verdicts, tables, staged)
-            files += _write_figures(results, verdicts, staged)
-            _write_text(staged / RUN, _run_json(self.plan, staged, files, {**run, "key": self.key}))
+            undrawn = _write_figures(results, verdicts, staged)
+            files += [figure_file(name) for name in self.plan.experiment.figures if name not in undrawn]
+            missing = sorted(map(figure_file, undrawn))
+            text = _run_json(self.plan, staged, files, missing, {**run, "key": self.key})
+            _write_text(staged / RUN, text)
             for stale in {*_listed(folder), CRASHES} - set(files):
                 (folder / stale).unlink(missing_ok=True)
             for name in (*files, RUN):
@@ -109,6 +119,14 @@ class Outputs:
             ) from None
         finally:
             shutil.rmtree(staged, ignore_errors=True)
+        for error in undrawn.values():
+            if not isinstance(error, ValueError):
+                raise error
+        return tuple(
+            f"{self.plan.path}: figures.{name}: cannot be drawn ({said})"
+            for name, error in undrawn.items()
+            for said in str(error).strip().splitlines()[-1:] or [type(error).__name__]
+        )
 
 
 def check(plan: Plan) -> None:
@@ -211,8 +229,9 @@ def _write_text(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
-def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) -> list[str]:
-    names = []
+def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) -> dict[str, Exception]:
+    """Write what can be drawn; why the others cannot, by their names."""
+    undrawn: dict[str, Exception] = {}
     for name, spec in results.plan.experiment.figures.items():
         assert isinstance(spec, FigureSpec)
         with style():
@@ -220,16 +239,18 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
                 figure = spec.draw(results, verdicts)
                 # Without the writer's version in it, the file depends on what it shows alone.
                 figure.savefig(folder / figure_file(name), metadata={"Software": None})
-            except ValueError as error:  # Such as a label that is no mathematics.
-                reason = str(error).strip().splitlines()[-1]
-                raise ConfigError(
-                    f"{results.plan.path}: figures.{name}: cannot be drawn ({reason}). All trials are kept"
-                ) from None
-        names.append(figure_file(name))
-    return names
+            except OSError:
+                raise
+            except Exception as error:
+                undrawn[name] = error
+                # What was begun of it.
+                (folder / figure_file(name)).unlink(missing_ok=True)
+    return undrawn
 
 
-def _run_json(plan: Plan, folder: Path, files: Sequence[str], run: Mapping[str, Any]) -> str:
+def _run_json(
+    plan: Plan, folder: Path, files: Sequence[str], undrawn: Sequence[str], run: Mapping[str, Any]
+) -> str:
     resolved = canonical(plan.experiment)
     content: dict[str, Any] = {
         "experiment": {
@@ -240,6 +261,7 @@ def _run_json(plan: Plan, folder: Path, files: Sequence[str], run: Mapping[str, 
             "resolved": resolved,
         },
         "files": sorted(files),
+        **({"undrawn": undrawn} if undrawn else {}),
         "provenance": {
             "hident": hident.__version__,
             "python": platform.python_version(),
