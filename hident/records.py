@@ -5,24 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array, Characteristic
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 from hident.numerics.choices import sorting
 from hident.numerics.parts import Parts, whole
-
-if TYPE_CHECKING:
-    from hident.systems.continuous import ContinuousTransferFunction
-    from hident.systems.linear import TransferFunction
-
-Array = NDArray[np.float64]
 
 # Times written with a few digits are uneven by their rounding.
 _UNEVEN = 1e-3
 
-Characteristic = Callable[[Array], Array]
 Response = Callable[[Array, float], Array]
 """The noise-free output (N,) to an input (N,), given the sampling interval."""
 

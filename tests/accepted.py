@@ -10,19 +10,19 @@ from pathlib import Path
 import numpy as np
 
 from hident import arithmetic, plugins
+from hident.arrays import Array
 from hident.engine.experiment import Plan, load
 from hident.engine.fingerprint import libraries
 from hident.engine.results import Results, Series
-from hident.engine.run_files import TRIALS
+from hident.engine.run_files import SENSITIVITY, TRIALS
 from hident.engine.runner import run
 from hident.ledger.compare import CHANCE
 from hident.ledger.run_folder import arithmetic as arithmetic_of
 from hident.ledger.run_folder import read_run
-from hident.ledger.sensitivity import RTOL, SENSITIVITY, Sensitivity
+from hident.ledger.sensitivity import RTOL, Sensitivity
 from hident.ledger.trial_comparison import TrialComparison
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import Verdict, judge
-from hident.records import Array
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"

@@ -21,8 +21,8 @@ from typing import Any, Protocol
 import numpy as np
 from filelock import FileLock, Timeout
 
+from hident.arrays import Array
 from hident.errors import StoreBusy, StoreError
-from hident.records import Array
 
 _FORMAT = 2
 _SCHEMA = f"""

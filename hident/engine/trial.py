@@ -14,11 +14,12 @@ from typing import Annotated, Any, cast
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
+from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, Spec, canonical
 from hident.errors import TrialFailed
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
-from hident.records import Array, Estimate, Part, Record
+from hident.records import Estimate, Part, Record
 from hident.signals.base import ExcitationSpec, NoiseSpec, Stretch
 from hident.signals.streams import NumpyStreams, StreamsSpec
 from hident.systems.base import SystemSpec

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array
 from hident.engine.expansion import Unit
 from hident.engine.results import Series, grouped
 from hident.engine.store import Trial, TrialStore
 from hident.engine.trial import OF_METRIC
-from hident.records import Array
 
 
 class _Scores:

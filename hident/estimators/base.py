@@ -7,10 +7,11 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.config.spec import Component
 from hident.errors import EstimationError
 from hident.estimators.normalisation import Normalisation
-from hident.records import Array, Estimate, Record
+from hident.records import Estimate, Record
 
 Experiments = Literal["one", "at_one_interval", "any"]
 """The records of several experiments that an estimator takes: none, those with one sampling interval, all."""

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
@@ -31,10 +32,10 @@ from hident.estimators.convergence import Unconverged, settle
 from hident.estimators.moving_horizon.searches import History
 from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
 from hident.estimators.normalisation import Normalisation, first_coefficient
+from hident.linear_blocks import TransferFunction
 from hident.numerics.parts import Parts, in_each, joined, longer_than, whole
 from hident.numerics.whole import nearest_whole
-from hident.records import Array, Characteristic, Estimate, Record, Response
-from hident.systems.linear import TransferFunction
+from hident.records import Estimate, Record, Response
 
 _DIVERGED = 1e6
 """Growth of the internal variable, relative to the first iteration's, that counts as divergence."""

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hident.engine.run_files import SENSITIVITY as SENSITIVITY  # noqa: PLC0414
 from hident.ledger.trial_values import Key, TrialValues, difference
 
 RTOL = 1e-6

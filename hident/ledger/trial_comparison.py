@@ -9,12 +9,12 @@ from functools import cached_property
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.engine.results import STATISTICS, statistics
 from hident.ledger.contents import Row
 from hident.ledger.sensitivity import Count, Sensitivity
 from hident.ledger.trial_values import Difference, Key, TrialValues, difference, scale_of
 from hident.numerics.choices import ROUNDING
-from hident.records import Array
 
 _SHOWN = ("failed", "mean", "std", "median")
 _MOST_SERIES, _MOST_TRIALS = 6, 8

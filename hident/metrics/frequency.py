@@ -20,13 +20,14 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator, Field
 
+from hident.arrays import Array, Complex
 from hident.config.spec import Count, Flag, component
 from hident.config.suggest import did_you_mean, one_of
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.metrics.base import MetricSpec, Scored
-from hident.records import Array, Estimate, Periodic, Record, Truth
+from hident.records import Estimate, Periodic, Record, Truth
 from hident.signals.base import Stretch
 from hident.signals.excitation import Multisine, Sine
-from hident.systems.continuous import Complex, ContinuousTransferFunction
 from hident.systems.continuous_wiener_hammerstein import ACCURACY, respond
 
 _NAME = re.compile(r"(gain_i|phase_i|series_gain)_(\d+)|(gain_o|phase_o|phase_sum)_(\d+)_(\d+)")

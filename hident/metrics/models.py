@@ -9,14 +9,14 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, component
 from hident.errors import EstimationError, SimulationError
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 from hident.metrics.base import MetricSpec, Scored
 from hident.numerics.rounding import is_constant
-from hident.records import Array, Estimate, Record
+from hident.records import Estimate, Record
 from hident.signals.base import ExcitationSpec
-from hident.systems.continuous import ContinuousTransferFunction
-from hident.systems.linear import TransferFunction
 
 # Sampling intervals this close, relative to their size, are one.
 _SAME = 1e-9

@@ -8,10 +8,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Interval, component
 from hident.errors import TrialFailed
 from hident.metrics.base import MetricSpec, Scored
-from hident.records import Array, Characteristic, Estimate, Record, Truth
+from hident.records import Estimate, Record, Truth
 
 _NODES = 8
 _PARTS = frozenset({"nonlinearity"})

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from hident.arrays import Array
 from hident.config.spec import Count, Flag, component
 from hident.engine.experiment import Plan
 from hident.engine.results import Results
 from hident.estimators.moving_horizon.searches import History
 from hident.ledger.verdicts import Verdict
 from hident.metrics.base import MetricSpec
-from hident.records import Array, Estimate
+from hident.records import Estimate
 from hident.reports.base import Misfit, Reference, unscored
 from hident.reports.one_trial import OneTrial, OneTrialFigure, Realised, Shown, list_failures
 from hident.reports.style import TRUTH, legend_above, looks, panel_grid, symbol
@@ -23,8 +24,7 @@ from hident.reports.style import TRUTH, legend_above, looks, panel_grid, symbol
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hident.systems.continuous import ContinuousTransferFunction
-    from hident.systems.linear import TransferFunction
+    from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 
 
 @component("figure", "convergence", source="Chen, Hwang, Chang 2009, figures 5, 8 and 10b")

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from hident.arrays import Array
 from hident.config.spec import Count, Spec, component
 from hident.config.suggest import did_you_mean, one_of
 from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside_trials
-from hident.records import Array
 from hident.reports.base import Misfit, Reference, Table, TableSpec, label_references
 from hident.reports.tables import LEGEND, SIGNS, intervals, written
 

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Flag, Interval, Real, Spec, component
 from hident.engine.experiment import Plan, Statistic
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Beside, Verdict, beside
-from hident.records import Array
 from hident.reports.base import FigureSpec, Misfit, Reference, label_references, not_numeric, unscored
 from hident.reports.one_trial import OneTrial, OneTrialFigure, Realised, say_failed, true_curve
 from hident.reports.style import DATA, ESTIMATE, LINES, TRUTH, legend_above, subplots

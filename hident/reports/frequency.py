@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, component
 from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
@@ -15,13 +16,13 @@ from hident.engine.trial import generate
 from hident.errors import SimulationError
 from hident.estimators.frequency.nonlinearity_identification import NonlinearityIdentification
 from hident.ledger.verdicts import Verdict, beside_trials
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.metrics import frequency
-from hident.records import Array, Record
+from hident.records import Record
 from hident.reports.base import FigureSpec, Misfit, Reference, Table, TableSpec, label_references, unscored
 from hident.reports.one_trial import OneTrial, OneTrialFigure, Shown, list_failures, say_failed
 from hident.reports.style import DATA, LINES, TRUTH, legend_above, panel_grid, subplots
 from hident.reports.tables import LEGEND, SIGNS, intervals
-from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.continuous_wiener_hammerstein import respond
 
 if TYPE_CHECKING:

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, Real, Spec
 from hident.config.suggest import one_of
 from hident.engine.experiment import Label, Plan, Unit
 from hident.engine.results import Results
 from hident.engine.trial import FAILURES, Data, Job, estimate, generate, reason
-from hident.records import Array, Estimate, Record, Truth
+from hident.records import Estimate, Record, Truth
 from hident.reports.base import FigureSpec, Misfit, Place, Reference, label_references
 
 if TYPE_CHECKING:

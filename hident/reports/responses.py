@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Protocol, runtime_checkable
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, Interval, Of, Spec, component
 from hident.engine.experiment import Plan
 from hident.engine.results import Results
@@ -16,7 +17,7 @@ from hident.errors import TrialFailed
 from hident.ledger.verdicts import Verdict
 from hident.metrics.models import fit_error, has_stable_block, validation_input
 from hident.numerics.rounding import is_constant
-from hident.records import Array, Response
+from hident.records import Response
 from hident.reports.base import Misfit, Reference
 from hident.reports.one_trial import (
     Offset,

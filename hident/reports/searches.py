@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, component
 from hident.engine.results import Results
 from hident.estimators.moving_horizon.searches import PartitionSearch, StructureSearch
 from hident.ledger.verdicts import Verdict
-from hident.records import Array
 from hident.reports.base import Reference
 from hident.reports.one_trial import NOTE, OneTrial, OneTrialFigure, Shown, say_failed
 from hident.reports.style import LINES, legend_above, panel_grid

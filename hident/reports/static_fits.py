@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, Interval, Spec, component
 from hident.engine.experiment import Plan
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
-from hident.records import Array, Estimate
+from hident.records import Estimate
 from hident.reports.base import Misfit, Place, Reference
 from hident.reports.one_trial import (
     Offset,

@@ -10,11 +10,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, Flag, Real, Spec, component
 from hident.engine.experiment import Label, Plan, Statistic
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside
-from hident.records import Array
 from hident.reports.base import Misfit, Reference, Table, TableSpec, not_numeric, unscored
 
 SIGNS = {"exact": "=", "agrees": "~", "differs": "!"}

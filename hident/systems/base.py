@@ -6,8 +6,9 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator
 
+from hident.arrays import Array
 from hident.config.spec import Component, Real
-from hident.records import Array, Truth, Waveform
+from hident.records import Truth, Waveform
 
 
 def _as_list(value: Any) -> Any:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from hident import plugins
+from hident.arrays import Array
 from hident.engine.executors import pin_blas
 from hident.engine.experiment import load
 from hident.engine.trial import Data, generate
@@ -25,7 +26,7 @@ from hident.estimators.bilinear_models.bilinear import Regression, regressors
 from hident.estimators.bilinear_models.bilinear_least_squares import BilinearLeastSquares
 from hident.estimators.bilinear_models.known_basis import BilinearSpec
 from hident.estimators.bilinear_models.two_stage import TwoStage, TwoStageAlgorithm, two_stage
-from hident.records import Array, Record
+from hident.records import Record
 from tests.benchmarks.timing import interleaved, show
 
 _CONFIG = """

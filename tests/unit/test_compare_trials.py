@@ -27,7 +27,7 @@ from hident.ledger.trial_values import TrialValues
 from hident.reports.output import Outputs
 
 if TYPE_CHECKING:
-    from hident.records import Array
+    from hident.arrays import Array
     from tests.conftest import Lab
 
 plugins.load()

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from hident import plugins
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.metrics.frequency import (
     GainShapeError,
     MovedDelay,
@@ -22,7 +23,6 @@ from hident.metrics.frequency import (
 )
 from hident.records import Estimate, Part, Periodic, Record, Truth
 from hident.systems.blocks import WienerHammerstein
-from hident.systems.continuous import ContinuousTransferFunction
 
 INPUT = ContinuousTransferFunction((2.0,), (12.0, 20.0))
 OUTPUT = ContinuousTransferFunction((1.0, 3.0), (105.0, 500.0), 20.0)

@@ -8,6 +8,7 @@ import pytest
 from matplotlib.colors import to_rgba
 
 from hident import plugins
+from hident.arrays import Array
 from hident.config import spec
 from hident.config.spec import Flag, Real, component
 from hident.engine.experiment import load
@@ -16,7 +17,8 @@ from hident.errors import ConfigError, EstimationError, SimulationError
 from hident.estimators.base import EstimatorSpec
 from hident.estimators.moving_horizon.searches import History, PartitionSearch, StructureSearch
 from hident.ledger.verdicts import judge
-from hident.records import Array, Estimate, Record, Truth
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
+from hident.records import Estimate, Record, Truth
 from hident.reports.convergence import iterates
 from hident.reports.distributions import percentile
 from hident.reports.output import check
@@ -24,8 +26,6 @@ from hident.reports.searches import contour_levels
 from hident.reports.static_fits import StaticCurve
 from hident.reports.style import style
 from hident.systems.base import SystemSpec
-from hident.systems.continuous import ContinuousTransferFunction
-from hident.systems.linear import TransferFunction
 
 STEADY_INPUT, STEADY_OUTPUT = 15.6, 7.0
 LINEAR = ContinuousTransferFunction((1.0,), (2.0,))

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from hident.arrays import Array
 from hident.errors import EstimationError
 from hident.estimators.nonparametric.kernel import (
     Bandwidth,
@@ -16,7 +17,7 @@ from hident.estimators.nonparametric.kernel import (
     KernelRegression,
     kernel_regression,
 )
-from hident.records import Array, Record
+from hident.records import Record
 
 # The definitions of the paper and of the docstring, not those of the code under test.
 KERNELS: dict[Kernel, Callable[[Array], Array]] = {

@@ -16,8 +16,8 @@ from hident.estimators.nonparametric.known_dynamics import KnownDynamics
 from hident.estimators.nonparametric.least_squares import LeastSquares, least_squares
 from hident.estimators.nonparametric.orthogonal import Orthogonal
 from hident.estimators.nonparametric.prefilter import FilteredRecord, prefilter
+from hident.linear_blocks import TransferFunction
 from hident.records import Record
-from hident.systems.linear import TransferFunction
 from hident.systems.nonlinearity import Identity, Power
 
 AR2 = TransferFunction(a=(1.2, -0.5))

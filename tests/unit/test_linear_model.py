@@ -9,8 +9,8 @@ from pydantic import ValidationError
 from hident.errors import EstimationError
 from hident.estimators.moving_horizon.iterative import padded, second_horizon
 from hident.estimators.moving_horizon.linear_model import LinearModel
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.records import Record
-from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.nonlinearity import ChenType1
 from tests.unit.multisteps import BLOCK, record
 

@@ -7,13 +7,12 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.signal import cont2discrete
 
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 from hident.metrics.models import LinearPercentError, fit_error
 from hident.metrics.models import ValidationError as ResponseError
 from hident.metrics.values import TrueValue
 from hident.records import Estimate, Record, Truth
 from hident.signals.excitation import Multistep
-from hident.systems.continuous import ContinuousTransferFunction
-from hident.systems.linear import TransferFunction
 from tests.unit.multisteps import BLOCK
 
 QUICK = settings(deadline=None, derandomize=True, max_examples=20)

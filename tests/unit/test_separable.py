@@ -11,8 +11,8 @@ from hident.estimators.bilinear_models.separable import (
     separable_least_squares,
     start,
 )
+from hident.linear_blocks import TransferFunction
 from hident.records import Record
-from hident.systems.linear import TransferFunction
 
 RNG = np.random.default_rng(0)
 B, C = np.array([0.6, -0.8]), np.array([1.0, -0.5, 0.25])

@@ -5,11 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 from hident.metrics.models import SettlingTime, ValidationError, has_stable_block
 from hident.records import Estimate, Record, Truth
 from hident.signals.excitation import Staircase
-from hident.systems.continuous import ContinuousTransferFunction
-from hident.systems.linear import TransferFunction
 
 LAG = ContinuousTransferFunction((3.0,), (2.0,), delay=0.7)
 UNSTABLE = ContinuousTransferFunction((3.0,), (-2.0,))

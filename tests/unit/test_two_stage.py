@@ -19,8 +19,8 @@ from hident.estimators.bilinear_models.bilinear import (
 )
 from hident.estimators.bilinear_models.bounds import CramerRao, KnownNonlinearity
 from hident.estimators.bilinear_models.two_stage import TwoStageAlgorithm, leading, two_stage
+from hident.linear_blocks import TransferFunction
 from hident.records import Record, Truth
-from hident.systems.linear import TransferFunction
 from hident.systems.nonlinearity import Polynomial
 
 RNG = np.random.default_rng(0)

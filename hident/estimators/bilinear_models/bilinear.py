@@ -21,9 +21,9 @@ from typing import Self
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from hident.arrays import Array
 from hident.errors import EstimationError
 from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
-from hident.records import Array
 
 Root = Callable[[Array], Array]
 """Multiplies rows (N,) or (N, K) by F from the left, giving (M,) or (M, K)."""

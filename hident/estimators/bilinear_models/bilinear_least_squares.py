@@ -11,11 +11,12 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, Flag, Real, Spec, component
 from hident.estimators.bilinear_models.bilinear import Regression, loss, normalised
 from hident.estimators.bilinear_models.two_stage import Weighted, WeightedBilinearSpec, two_stage
 from hident.estimators.convergence import Unconverged, settle
-from hident.records import Array, Estimate, Record
+from hident.records import Estimate, Record
 
 _HALVINGS = 40
 

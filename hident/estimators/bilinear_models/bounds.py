@@ -8,6 +8,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Of, Real, component
 from hident.estimators.bilinear_models.ar_noise import ArModel
 from hident.estimators.bilinear_models.bilinear import Regression, identity
@@ -15,7 +16,7 @@ from hident.estimators.bilinear_models.bilinear_least_squares import covariance_
 from hident.estimators.bilinear_models.known_basis import BilinearSpec
 from hident.estimators.bilinear_models.two_stage import KnownAr, WeightedSpec
 from hident.estimators.normalisation import Normalisation, known_function
-from hident.records import Array, Estimate, Record
+from hident.records import Estimate, Record
 from hident.systems.base import NonlinearitySpec
 
 

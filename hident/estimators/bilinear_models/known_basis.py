@@ -11,15 +11,16 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from hident.arrays import Array
 from hident.config.spec import Count, Of
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
 from hident.estimators.bilinear_models.bilinear import Regression, lengths, normalised, regressors
 from hident.estimators.normalisation import Normalisation, unit_length
+from hident.linear_blocks import TransferFunction
 from hident.numerics.parts import Parts, following, in_each, longer_than
-from hident.records import Array, Record
+from hident.records import Record
 from hident.systems.base import NonlinearitySpec
-from hident.systems.linear import TransferFunction
 from hident.systems.nonlinearity import Power
 
 

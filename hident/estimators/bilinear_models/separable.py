@@ -22,6 +22,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
 from hident.estimators.bilinear_models.bilinear import Regression
@@ -34,9 +35,9 @@ from hident.estimators.bilinear_models.known_basis import BilinearSpec
 from hident.estimators.bilinear_models.two_stage import two_stage
 from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
 from hident.estimators.normalisation import Normalisation, unit_length
+from hident.linear_blocks import TransferFunction
 from hident.numerics.parts import Parts, in_each, whole
-from hident.records import Array, Estimate, Record
-from hident.systems.linear import TransferFunction
+from hident.records import Estimate, Record
 
 _PREFILTERINGS = 10
 _HALVINGS = 40

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
+from hident.arrays import Array
 from hident.config.spec import Real, Spec, component
 from hident.config.suggest import did_you_mean, one_of
 from hident.errors import EstimationError
@@ -25,10 +26,10 @@ from hident.estimators.bilinear_models.bilinear import (
     normalised,
 )
 from hident.estimators.bilinear_models.known_basis import BilinearSpec, LaggedSpec
+from hident.linear_blocks import TransferFunction
 from hident.numerics.choices import ROUNDING
 from hident.numerics.parts import Parts
-from hident.records import Array, Estimate, Record
-from hident.systems.linear import TransferFunction
+from hident.records import Estimate, Record
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
 from hident.estimators.frequency.harmonics import samples_per_period
 from hident.estimators.normalisation import Normalisation
-from hident.records import Array, Estimate, Periodic, Record
+from hident.records import Estimate, Periodic, Record
 
 Complex = NDArray[np.complex128]
 

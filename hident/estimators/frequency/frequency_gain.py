@@ -23,13 +23,13 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array
 from hident.errors import EstimationError
 from hident.estimators.frequency.gauge import FrequencyGrid, null_space, unwrap_along
 from hident.estimators.frequency.harmonic_map import harmonic_matrix, harmonic_matrix_slope
 from hident.estimators.frequency.sine_responses import SineResponses
 from hident.estimators.frequency.staircase_levels import PolynomialFit
 from hident.numerics.choices import ROUNDING, TIE, first_least
-from hident.records import Array
 
 Complex = NDArray[np.complex128]
 Mask = NDArray[np.bool_]

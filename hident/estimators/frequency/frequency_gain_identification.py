@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
+from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, component
 from hident.config.suggest import did_you_mean, one_of
 from hident.errors import EstimationError
@@ -31,7 +32,7 @@ from hident.estimators.frequency.nonlinearity_identification import (
 from hident.estimators.frequency.sine_responses import SineResponses, match_frequencies
 from hident.estimators.frequency.staircase_levels import PolynomialFit
 from hident.estimators.normalisation import Normalisation, unit_static_gain
-from hident.records import Array, Estimate, Part, Periodic, Record
+from hident.records import Estimate, Part, Periodic, Record
 from hident.signals.experiments import LogSpaced
 from hident.systems.base import Coefficients
 from hident.systems.nonlinearity import Polynomial

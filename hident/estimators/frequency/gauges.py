@@ -8,11 +8,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, Real, Spec
 from hident.estimators.frequency.frequency_gain import FrequencyGains
 from hident.estimators.frequency.gauge import FrequencyGrid, Index, Phases, bode_weights, solve_phases
 from hident.estimators.frequency.rational_gauge import RationalBlock, fit_rational
-from hident.records import Array
 
 Positive = Annotated[Real, Field(gt=0)]
 

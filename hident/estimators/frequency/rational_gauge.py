@@ -8,10 +8,10 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array
 from hident.errors import EstimationError
 from hident.estimators.frequency.gauge import FrequencyGrid, Phases
 from hident.numerics.choices import first_least
-from hident.records import Array
 
 Complex = NDArray[np.complex128]
 Orders = tuple[int, int]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, Spec
 from hident.errors import EstimationError
 from hident.estimators.moving_horizon.hammerstein_iteration import Iteration, iterate
@@ -27,9 +28,8 @@ from hident.estimators.moving_horizon.static_functions import (
     three_segments,
 )
 from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.numerics.parts import Parts
-from hident.records import Array
-from hident.systems.continuous import ContinuousTransferFunction
 
 StaticFunction = PolynomialFunction | ThreeSegmentFunction
 

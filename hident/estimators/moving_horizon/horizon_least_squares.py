@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hident.records import Array
+from hident.arrays import Array
 
 # A regressor of length one that differs by less from a sum of the ones before it is such a sum.
 _DEPENDENT = 1e-13

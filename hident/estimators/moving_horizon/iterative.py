@@ -10,6 +10,7 @@ from typing import Annotated, ClassVar, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from hident.arrays import Array
 from hident.config.spec import Count, Flag, Real
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
@@ -17,9 +18,9 @@ from hident.estimators.convergence import Unconverged
 from hident.estimators.moving_horizon.horizon_least_squares import scaled_condition, variance_inflation
 from hident.estimators.moving_horizon.linear_transform import LinearFit, SecondStageSpec, StageSpec
 from hident.estimators.moving_horizon.time_weighted import Horizons
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.numerics.parts import Parts, whole
-from hident.records import Array, Record
-from hident.systems.continuous import ContinuousTransferFunction
+from hident.records import Record
 
 
 def padded(block: ContinuousTransferFunction, n: int, prefix: str = "") -> dict[str, float]:

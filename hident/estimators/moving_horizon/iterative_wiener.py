@@ -11,6 +11,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Discriminator, Field
 
+from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
 from hident.estimators.convergence import settle
@@ -32,8 +33,8 @@ from hident.estimators.moving_horizon.wiener_stage import (
     first_stage,
 )
 from hident.estimators.normalisation import Normalisation, unit_slope, unit_static_gain
-from hident.records import Array, Characteristic, Estimate, Record
-from hident.systems.continuous import ContinuousTransferFunction
+from hident.linear_blocks import ContinuousTransferFunction
+from hident.records import Estimate, Record
 from hident.systems.nonlinearity import PiecewiseLinear
 
 # Section 4.4: the share of the settling time that the second stage's horizons last.

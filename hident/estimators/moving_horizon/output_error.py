@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.errors import EstimationError
 from hident.estimators.base import require_finite
 from hident.estimators.bilinear_models.bilinear import lengths
@@ -30,9 +31,8 @@ from hident.estimators.moving_horizon.four_segment import (
 )
 from hident.estimators.moving_horizon.linear_transform import responses_in
 from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.numerics.parts import Parts
-from hident.records import Array
-from hident.systems.continuous import ContinuousTransferFunction
 
 _HALVINGS = 30
 _MAX_ITERATIONS = 100

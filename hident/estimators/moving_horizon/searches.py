@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array
 from hident.numerics.choices import first_least
-from hident.records import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
+from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Spec
 from hident.errors import EstimationError
 from hident.estimators.moving_horizon.batched_blocks import time_constants
@@ -30,9 +31,8 @@ from hident.estimators.moving_horizon.wiener_iteration import (
     Wiener,
     iterate,
 )
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.numerics.parts import in_each, longer_than
-from hident.records import Array, Characteristic
-from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.nonlinearity import Polynomial
 
 # Iterations after which the search gives up a pair whose model stays inadmissible.

@@ -14,13 +14,14 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, Of, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite
 from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED, dynamics, lagged, require_irregular
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.numerics.parts import Parts
-from hident.records import Array, Estimate, Record
+from hident.records import Estimate, Record
 from hident.systems.base import NonlinearitySpec
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from hident.arrays import Array, Characteristic
 from hident.config.spec import Real, Spec, component
 from hident.errors import EstimationError
 from hident.estimators.base import require_finite
@@ -22,7 +23,7 @@ from hident.estimators.nonparametric.kernel_sums import (
 )
 from hident.estimators.nonparametric.prefilter import NonparametricSpec
 from hident.numerics.choices import sorting
-from hident.records import Array, Characteristic, Record
+from hident.records import Record
 
 Kernel = Literal["window_half", "window_unit", "triangular", "epanechnikov", "gaussian"]
 Empty = Literal["nearest", "zero", "mean", "fail"]

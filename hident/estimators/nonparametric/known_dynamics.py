@@ -9,9 +9,9 @@ import numpy as np
 from hident.config.spec import component
 from hident.estimators.base import EstimatorSpec, Experiments
 from hident.estimators.normalisation import Normalisation, first_coefficient
+from hident.linear_blocks import TransferFunction
 from hident.records import Estimate, Record
 from hident.systems.base import Coefficients, Numerator
-from hident.systems.linear import TransferFunction
 
 
 @component("estimator", "known_dynamics")

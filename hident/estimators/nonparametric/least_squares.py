@@ -10,13 +10,14 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite
 from hident.estimators.normalisation import Normalisation, first_coefficient
+from hident.linear_blocks import TransferFunction
 from hident.numerics.parts import Parts, in_each, longer_than, whole
-from hident.records import Array, Estimate, Record
-from hident.systems.linear import TransferFunction
+from hident.records import Estimate, Record
 
 ILL_CONDITIONED = 1e12
 """Condition number, of columns scaled to length one, from which an estimate counts as singular."""
