@@ -12,10 +12,11 @@ from pydantic import Field
 from hident.arrays import Array
 from hident.config.spec import Flag, Interval, Real, Spec, component
 from hident.engine.experiment import Plan, Statistic
+from hident.engine.replay import OneTrial, Realised
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Beside, Verdict, beside
 from hident.reports.base import FigureSpec, Misfit, Reference, label_references, not_numeric, unscored
-from hident.reports.one_trial import OneTrial, OneTrialFigure, Realised, say_failed, true_curve
+from hident.reports.one_trial import OneTrialFigure, say_failed, true_curve
 from hident.reports.style import DATA, ESTIMATE, LINES, TRUTH, legend_above, subplots
 
 if TYPE_CHECKING:
@@ -224,7 +225,7 @@ class Realisation(OneTrialFigure):
             sharey=True,
             figsize=(min(2.5 * columns + 0.4, 10.5), 2.2 * rows + 0.5),
         )
-        trial = OneTrial(results, self.trial)
+        trial = OneTrial(results.plan, self.trial)
         for labels, row in zip(self.at, grid, strict=True):
             for name, axes in zip(self.estimators, row, strict=True):
                 self._panel(axes, trial.of(name, labels))

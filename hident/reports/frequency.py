@@ -11,16 +11,15 @@ from pydantic import Field
 from hident.arrays import Array
 from hident.config.spec import Count, component
 from hident.engine.experiment import Plan
+from hident.engine.replay import OneTrial
 from hident.engine.results import Results, Series
-from hident.engine.trial import generate
-from hident.errors import SimulationError
 from hident.estimators.frequency.nonlinearity_identification import NonlinearityIdentification
 from hident.ledger.verdicts import Verdict, beside_trials
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.metrics import frequency
 from hident.records import Record
 from hident.reports.base import FigureSpec, Misfit, Reference, Table, TableSpec, label_references, unscored
-from hident.reports.one_trial import OneTrial, OneTrialFigure, Shown, list_failures, say_failed
+from hident.reports.one_trial import OneTrialFigure, Shown, list_failures, say_failed
 from hident.reports.style import DATA, LINES, TRUTH, legend_above, panel_grid, subplots
 from hident.reports.tables import LEGEND, SIGNS, intervals
 from hident.systems.continuous_wiener_hammerstein import respond
@@ -137,12 +136,10 @@ class Signals(OneTrialFigure):
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         figure, (above, below) = subplots(2, 1, sharex=True, figsize=(5.2, 3.6), height_ratios=(1, 2))
         data = self.curve.unit(results.plan).data
-        try:
-            with np.errstate(all="ignore"):
-                record = generate(data, results.plan.seed, self.trial)
-        except SimulationError as error:
+        record, failure = OneTrial(results.plan, self.trial).record(data)
+        if record is None:
             say_failed(above, "no record")
-            say_failed(below, f"failed: {error}")
+            say_failed(below, f"failed: {failure}")
             return figure
         part = record.parts[self.experiment]
         t = np.arange(len(part)) * part.dt
@@ -187,7 +184,7 @@ class LevelMeans(OneTrialFigure):
                 yield ("curves", i, "estimator"), said
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        trial = OneTrial(results, self.trial)
+        trial = OneTrial(results.plan, self.trial)
         figure, (above, below) = subplots(2, 1, sharex=True, figsize=(4.8, 4.4), height_ratios=(2, 1))
         failures = []
         for curve, line in zip(self.curves, LINES, strict=False):

@@ -11,11 +11,12 @@ from pydantic import Field
 
 from hident.arrays import Array
 from hident.config.spec import Count, component
+from hident.engine.replay import OneTrial
 from hident.engine.results import Results
 from hident.estimators.moving_horizon.searches import PartitionSearch, StructureSearch
 from hident.ledger.verdicts import Verdict
 from hident.reports.base import Reference
-from hident.reports.one_trial import NOTE, OneTrial, OneTrialFigure, Shown, say_failed
+from hident.reports.one_trial import NOTE, OneTrialFigure, Shown, say_failed
 from hident.reports.style import LINES, legend_above, panel_grid
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ class Search(OneTrialFigure):
             yield from panel.references(("panels", i))
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        trial = OneTrial(results, self.trial)
+        trial = OneTrial(results.plan, self.trial)
         figure, grid = panel_grid(len(self.panels), self.columns, 3.3, 2.7)
         for panel, axes in zip(self.panels, grid, strict=True):
             axes.set_title(panel.text)

@@ -11,15 +11,14 @@ from pydantic import Field
 from hident.arrays import Array
 from hident.config.spec import Count, Interval, Spec, component
 from hident.engine.experiment import Plan
+from hident.engine.replay import OneTrial, Realised
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
 from hident.records import Estimate
 from hident.reports.base import Misfit, Place, Reference
 from hident.reports.one_trial import (
     Offset,
-    OneTrial,
     OneTrialFigure,
-    Realised,
     Shown,
     list_failures,
     offset_misfits,
@@ -133,7 +132,7 @@ class StaticFit(OneTrialFigure):
             yield from panel.misfits(plan, ("panels", i))
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        trial = OneTrial(results, self.trial)
+        trial = OneTrial(results.plan, self.trial)
         lines = looks(curve.text for panel in self.panels for curve in panel.curves)
         width = 3.6 if len(self.panels) > 1 else 4.8
         figure, grid = panel_grid(len(self.panels), self.columns, width, 2.9)
