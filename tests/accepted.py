@@ -17,12 +17,12 @@ from hident.engine.results import Results, Series
 from hident.engine.run_files import SENSITIVITY, TRIALS
 from hident.engine.runner import run
 from hident.ledger.compare import CHANCE
-from hident.ledger.run_folder import arithmetic as arithmetic_of
-from hident.ledger.run_folder import read_run
 from hident.ledger.sensitivity import RTOL, Sensitivity
 from hident.ledger.trial_comparison import TrialComparison
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import Verdict, judge
+from hident.run_folder import arithmetic as arithmetic_of
+from hident.run_folder import read_run
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"

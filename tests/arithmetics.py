@@ -25,10 +25,10 @@ from hident import arithmetic
 from hident.engine.run_files import RUN, TRIALS
 from hident.errors import HidentError
 from hident.ledger.compare import Comparison, compare
-from hident.ledger.run_folder import read_run
 from hident.ledger.sensitivity import RTOL
 from hident.ledger.trial_comparison import TrialComparison
 from hident.ledger.trial_values import TrialValues
+from hident.run_folder import read_run
 
 ROOT = Path(__file__).parents[1]
 DOCUMENT = ROOT / "docs" / "reproducibility.md"

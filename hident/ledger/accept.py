@@ -12,9 +12,9 @@ from hident.config.suggest import one_of
 from hident.engine.run_files import RUN, SENSITIVITY, TRIALS
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.ledger.compare import compare
-from hident.ledger.run_folder import altered, file_digest, read_run, written
 from hident.ledger.sensitivity import Sensitivity
 from hident.ledger.trial_values import TrialValues
+from hident.run_folder import altered, file_digest, read_run, written
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,10 @@ from hident.engine.results import STATISTICS
 from hident.engine.run_files import RUN, SENSITIVITY, TABLE, TRIALS
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.ledger.contents import Row, content_differences, decode_table
-from hident.ledger.run_folder import altered, arithmetic, read_run
 from hident.ledger.sensitivity import Sensitivity
 from hident.ledger.trial_comparison import TrialComparison, follows
 from hident.ledger.trial_values import Key, TrialValues
+from hident.run_folder import altered, arithmetic, read_run
 
 CHANCE = 0.01
 """That a comparison of sound results finds, in any of its units, more moved trials than likely."""

@@ -26,14 +26,14 @@ from hident.engine.run_files import CRASHES, PAGE, RUN, TABLE, TRIALS, VERDICTS,
 from hident.engine.trial import digest
 from hident.errors import StoreError
 from hident.ledger.published import PUBLISHED, REASONS
-from hident.ledger.run_folder import altered, file_digest, read_run
-from hident.ledger.run_folder import written as written_run
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import Verdict, frame, judge
 from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, left_out
 from hident.reports.scoring import scoring
 from hident.reports.style import style
 from hident.reports.tables import failures, written
+from hident.run_folder import altered, file_digest, read_run
+from hident.run_folder import written as written_run
 
 State = Literal["none", "old", "altered", "incomplete", "up to date"]
 _PACKAGES = ("numpy", "scipy", "finufft", "pandas", "matplotlib", "pydantic")

@@ -21,10 +21,10 @@ from hident.engine.trial import digest
 from hident.errors import ConfigError
 from hident.ledger.accept import accept
 from hident.ledger.compare import Comparison, compare
-from hident.ledger.run_folder import file_digest
 from hident.ledger.sensitivity import Count, Sensitivity
 from hident.ledger.trial_values import TrialValues
 from hident.reports.output import Outputs
+from hident.run_folder import file_digest
 
 if TYPE_CHECKING:
     from hident.arrays import Array
