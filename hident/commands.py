@@ -103,7 +103,7 @@ def run_plans(
     quiet: bool,
 ) -> Exit:
     """Run plans one after the other on one set of workers; a single one's tables are printed."""
-    from hident.reports.output import keep_tracebacks
+    from hident.run_folder import RunFolder
 
     def work(executor: Executor, workers: int) -> Exit:
         code = Exit.FINE
@@ -115,7 +115,7 @@ def run_plans(
                 if not quiet and len(plans) == 1:
                     print((place.out / plan.name / "table.md").read_text(encoding="utf-8"))
             except CrashReport as crash:
-                kept = keep_tracebacks(crash.tracebacks, place.out / plan.name)
+                kept = RunFolder(place.out / plan.name).keep_tracebacks(crash.tracebacks)
                 where = f"\nTracebacks: {kept}" if kept else f"\n{crash.tracebacks}"
                 print(f"error: {plan.name}: {crash}{where}", file=sys.stderr)
                 code = crash.exit_code
@@ -167,7 +167,8 @@ def _run_plan(
     from hident.reports.output import Outputs
 
     outputs = Outputs(plan, place.out / plan.name)
-    note, undrawn = f"{plan.name}: {outputs.folder} is up to date", ()
+    note = f"{plan.name}: {outputs.folder} is up to date"
+    undrawn: tuple[str, ...] = ()
     if outputs.state() != "up to date":
         with Store(place.store).writing(place.wait) as writer:
             # Asked again, as another run may have held the store until now.
@@ -258,9 +259,11 @@ def check_finished(names: Iterable[str], out: Path) -> None:
     NothingToCompare
         If one has none.
     """
+    from hident.run_folder import RunFolder
+
     for name in names:
         folder = out / Path(name).stem
-        if not (folder / "run.json").is_file():
+        if not RunFolder(folder).finished:
             raise NothingToCompare(f"{folder} holds no finished run: hident run {Path(name).stem}")
 
 

@@ -21,8 +21,7 @@ from hident.ledger.sensitivity import RTOL, Sensitivity
 from hident.ledger.trial_comparison import TrialComparison
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import Verdict, judge
-from hident.run_folder import arithmetic as arithmetic_of
-from hident.run_folder import read_run
+from hident.run_folder import RunFolder, arithmetic_of
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
@@ -76,4 +75,4 @@ def _values(accepted: Path) -> TrialValues:
 def _same_arithmetic(accepted: Path) -> bool:
     ours = {"arithmetic": {"identity": arithmetic.identity()}, "libraries": {**libraries()}}
     del ours["libraries"]["arithmetic"]
-    return bool(arithmetic_of({"provenance": ours}) == arithmetic_of(read_run(accepted) or {}))
+    return bool(arithmetic_of(ours) == RunFolder(accepted).arithmetic())

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import platform
-import shutil
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -13,7 +11,7 @@ from datetime import UTC, datetime
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import hident
 from hident import arithmetic
@@ -22,9 +20,8 @@ from hident.config.spec import canonical
 from hident.engine.experiment import Plan
 from hident.engine.fingerprint import code
 from hident.engine.results import Results
-from hident.engine.run_files import CRASHES, PAGE, RUN, TABLE, TRIALS, VERDICTS, figure_file, table_file
+from hident.engine.run_files import PAGE, TABLE, TRIALS, VERDICTS, figure_file, table_file
 from hident.engine.trial import digest
-from hident.errors import StoreError
 from hident.ledger.published import PUBLISHED, REASONS
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import Verdict, frame, judge
@@ -32,10 +29,8 @@ from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, left_o
 from hident.reports.scoring import scoring
 from hident.reports.style import style
 from hident.reports.tables import failures, written
-from hident.run_folder import altered, file_digest, read_run
-from hident.run_folder import written as written_run
+from hident.run_folder import RunFolder, State
 
-State = Literal["none", "old", "altered", "incomplete", "up to date"]
 _PACKAGES = ("numpy", "scipy", "finufft", "pandas", "matplotlib", "pydantic")
 
 
@@ -65,17 +60,7 @@ class Outputs:
 
     def state(self) -> State:
         """Whether the folder holds, unaltered, what a run of the plan writes."""
-        if not (self.folder / RUN).exists():
-            return "none"
-        run = read_run(self.folder) or {}
-        provenance = run.get("provenance")
-        if not isinstance(provenance, dict) or "key" not in provenance:
-            return "altered"
-        if provenance["key"] != self.key:
-            return "old"
-        if altered(self.folder):
-            return "altered"
-        return "incomplete" if run.get("undrawn") else "up to date"
+        return RunFolder(self.folder).state(self.key)
 
     def write(self, results: Results, run: Mapping[str, Any]) -> tuple[str, ...]:
         """Write tables, figures, verdicts and run.json; ``run`` joins the provenance.
@@ -91,39 +76,29 @@ class Outputs:
         ConfigError
             If a table or the verdicts ask for a printed number that does not exist.
         """
-        verdicts, folder = judge(results), self.folder
+        verdicts, plan = judge(results), self.plan
         tables = {
             name: spec.build(results, verdicts)
-            for name, spec in self.plan.experiment.tables.items()
+            for name, spec in plan.experiment.tables.items()
             if isinstance(spec, TableSpec)
         }
-        staged = folder / ".new"
-        try:
-            shutil.rmtree(staged, ignore_errors=True)
-            staged.mkdir(parents=True)
-            files = _write_text_files(results, verdicts, tables, staged)
-            undrawn = _write_figures(results, verdicts, staged)
-            files += [figure_file(name) for name in self.plan.experiment.figures if name not in undrawn]
-            missing = sorted(map(figure_file, undrawn))
-            text = _run_json(self.plan, staged, files, missing, {**run, "key": self.key})
-            _write_text(staged / RUN, text)
-            for stale in {*_listed(folder), CRASHES} - set(files):
-                (folder / stale).unlink(missing_ok=True)
-            for name in (*files, RUN):
-                (staged / name).replace(folder / name)
-        except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise StoreError(
-                f"{error.filename2 or folder} cannot be written ({reason}). All trials are kept: make room "
-                "for the outputs, or name another folder with --out, and run again"
-            ) from None
-        finally:
-            shutil.rmtree(staged, ignore_errors=True)
+        with RunFolder(self.folder).renewed() as new:
+            files = _write_tables(results, verdicts, tables, new)
+            undrawn = _write_figures(results, verdicts, new.path)
+            files += [figure_file(name) for name in plan.experiment.figures if name not in undrawn]
+            new.seal(
+                {
+                    "experiment": _described(plan),
+                    "files": sorted(files),
+                    **({"undrawn": sorted(map(figure_file, undrawn))} if undrawn else {}),
+                    "provenance": {**_provenance(plan), **run, "key": self.key},
+                }
+            )
         for error in undrawn.values():
             if not isinstance(error, ValueError):
                 raise error
         return tuple(
-            f"{self.plan.path}: figures.{name}: cannot be drawn ({said})"
+            f"{plan.path}: figures.{name}: cannot be drawn ({said})"
             for name, error in undrawn.items()
             for said in str(error).strip().splitlines()[-1:] or [type(error).__name__]
         )
@@ -147,17 +122,6 @@ def check(plan: Plan) -> None:
     ]
     if problems:
         raise plan.document.error(problems)
-
-
-def keep_tracebacks(tracebacks: str, folder: Path) -> Path | None:
-    """Write the tracebacks of crashes to a file; None if that is impossible."""
-    path = folder / CRASHES
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        _write_text(path, tracebacks)
-    except OSError:
-        return None
-    return path
 
 
 def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str, Table]) -> str:
@@ -208,8 +172,8 @@ def _differences(verdicts: Sequence[Verdict]) -> list[str]:
     ]
 
 
-def _write_text_files(
-    results: Results, verdicts: Sequence[Verdict], tables: Mapping[str, Table], folder: Path
+def _write_tables(
+    results: Results, verdicts: Sequence[Verdict], tables: Mapping[str, Table], folder: RunFolder
 ) -> list[str]:
     texts = {TABLE: results.frame().to_csv(index=False, lineterminator="\n")}
     for name, table in tables.items():
@@ -219,14 +183,9 @@ def _write_text_files(
         texts[VERDICTS] = frame(verdicts).to_csv(index=False, lineterminator="\n")
     texts[PAGE] = markdown(results, verdicts, tables)
     for name, text in texts.items():
-        _write_text(folder / name, text)
-    (folder / TRIALS).write_bytes(TrialValues.of(results).encoded())
+        folder.write_text(name, text)
+    (folder.path / TRIALS).write_bytes(TrialValues.of(results).encoded())
     return [*texts, TRIALS]
-
-
-def _write_text(path: Path, text: str) -> None:
-    # The text of an error may hold what is no letter, such as one half of a pair.
-    path.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
 def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) -> dict[str, Exception]:
@@ -248,47 +207,30 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
     return undrawn
 
 
-def _run_json(
-    plan: Plan, folder: Path, files: Sequence[str], undrawn: Sequence[str], run: Mapping[str, Any]
-) -> str:
+def _described(plan: Plan) -> dict[str, Any]:
+    """The experiment in run.json."""
     resolved = canonical(plan.experiment)
-    content: dict[str, Any] = {
-        "experiment": {
-            "config": plan.name,
-            "hash": digest(resolved),
-            "seed": plan.seed,
-            "trials": plan.trials,
-            "resolved": resolved,
-        },
-        "files": sorted(files),
-        **({"undrawn": undrawn} if undrawn else {}),
-        "provenance": {
-            "hident": hident.__version__,
-            "python": platform.python_version(),
-            "libraries": {name: version(name) for name in _PACKAGES},
-            **_git(plan.root),
-            "platform": platform.platform(),
-            "cpu": _cpu(),
-            "arithmetic": {"identity": arithmetic.identity(), **arithmetic.in_use()},
-            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-            **run,
-        },
+    return {
+        "config": plan.name,
+        "hash": digest(resolved),
+        "seed": plan.seed,
+        "trials": plan.trials,
+        "resolved": resolved,
     }
-    content["provenance"]["sha256"] = {
-        **{name: file_digest(folder / name) for name in files},
-        # Of all but these hashes, as plain data.
-        RUN: digest(content),
-    }
-    return written_run(content)
 
 
-def _listed(folder: Path) -> set[str]:
-    """The files that an earlier run wrote here."""
-    try:
-        names = json.loads((folder / RUN).read_bytes())["files"]
-        return {name for name in names if isinstance(name, str) and Path(name).name == name}
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return set()
+def _provenance(plan: Plan) -> dict[str, Any]:
+    """Where the files come from, in run.json."""
+    return {
+        "hident": hident.__version__,
+        "python": platform.python_version(),
+        "libraries": {name: version(name) for name in _PACKAGES},
+        **_git(plan.root),
+        "platform": platform.platform(),
+        "cpu": _cpu(),
+        "arithmetic": {"identity": arithmetic.identity(), **arithmetic.in_use()},
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
 
 
 def _modules(*families: Mapping[str, Any]) -> set[str]:

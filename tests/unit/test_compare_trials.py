@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from collections.abc import Callable
@@ -24,7 +25,6 @@ from hident.ledger.compare import Comparison, compare
 from hident.ledger.sensitivity import Count, Sensitivity
 from hident.ledger.trial_values import TrialValues
 from hident.reports.output import Outputs
-from hident.run_folder import file_digest
 
 if TYPE_CHECKING:
     from hident.arrays import Array
@@ -81,7 +81,8 @@ def _rewrite(folder: Path, change: Callable[[dict[str, Any]], None], *names: str
     run = json.loads((folder / "run.json").read_text())
     change(run)
     hashes = run["provenance"].pop("sha256")
-    hashes |= {"run.json": digest(run), **{name: file_digest(folder / name) for name in names}}
+    hashes |= {"run.json": digest(run)}
+    hashes |= {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in names}
     run["provenance"]["sha256"] = hashes
     (folder / "run.json").write_text(json.dumps(run))
 

@@ -41,7 +41,8 @@ def test_records_and_estimates_are_made_once(lab: Lab) -> None:
     trial = OneTrial(_plan(lab), 2)
     one, other = (trial.of(name, {"samples": 80}) for name in ("iv", "known"))
     assert one is trial.of("iv", {"samples": "80"})
-    assert one.record is other.record is not None
+    assert one.record is not None
+    assert one.record is other.record
     assert len(one.record.y) == 80
     assert trial.of("iv", {}).unit.labels == {"samples": 50}
 
