@@ -17,10 +17,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from hident.arrays import Array, Complex
+from hident.errors import ConfigError
 from hident.numerics.choices import ROUNDING
 from hident.numerics.settling import settling_time
 from hident.numerics.whole import split
@@ -40,9 +42,28 @@ def _sum(terms: Array) -> float:
     return total if abs(total) > ROUNDING * float(np.sum(np.abs(terms))) else 0.0
 
 
+def _control() -> Any:
+    try:
+        import control
+    except ImportError:
+        raise ConfigError("to_control needs python-control: pip install 'hident[control]'") from None
+    return control
+
+
 @dataclass(frozen=True)
 class TransferFunction:
-    """The discrete linear block with numerator ``b`` (b_0, ..., b_m) and feedback ``a`` (a_1, ..., a_p)."""
+    """The discrete linear block with numerator ``b`` (b_0, ..., b_m) and feedback ``a`` (a_1, ..., a_p).
+
+    Examples
+    --------
+    >>> block = TransferFunction(b=(0.0, 1.0), a=(0.5,))
+    >>> block.impulse_response(4)
+    array([0.  , 1.  , 0.5 , 0.25])
+    >>> block.static_gain()
+    2.0
+    >>> block.to_scipy(dt=0.1).poles
+    array([0.5])
+    """
 
     b: tuple[float, ...] = (1.0,)
     a: tuple[float, ...] = ()
@@ -147,10 +168,44 @@ class TransferFunction:
         named = {f"a_{i}": value for i, value in enumerate(self.a, start=1)}
         return named | {f"b_{i}": value for i, value in enumerate(self.b)}
 
+    def to_scipy(self, dt: float = 1.0) -> Any:
+        """The block as a :class:`scipy.signal.dlti` with sampling interval ``dt``, of the same response."""
+        from scipy.signal import dlti
+
+        return dlti(*self._in_z(), dt=dt)
+
+    def to_control(self, dt: float = 1.0) -> Any:
+        """The block as a :class:`control.TransferFunction` with sampling interval ``dt``.
+
+        Raises
+        ------
+        ConfigError
+            If python-control is not installed.
+        """
+        return _control().TransferFunction(*self._in_z(), dt)
+
+    def _in_z(self) -> tuple[Array, Array]:
+        """Numerator and denominator by falling power of z: times z^l, where q^-l is their last power."""
+        length = max(len(self.b), len(self.a) + 1)
+        top, bottom = (np.pad(c, (0, length - len(c))) for c in (self.b, self.denominator))
+        # scipy warns of leading zeros, which a delay has.
+        return top[int(np.argmax(top != 0.0)) :], bottom
+
 
 @dataclass(frozen=True)
 class ContinuousTransferFunction:
-    """(b_0 + b_1 s + ... + b_m s^m) e^(-delay s) / (1 + a_1 s + ... + a_n s^n) with m < n."""
+    """(b_0 + b_1 s + ... + b_m s^m) e^(-delay s) / (1 + a_1 s + ... + a_n s^n) with m < n.
+
+    Times are in the unit of the sampling interval of the data.
+
+    Examples
+    --------
+    >>> block = ContinuousTransferFunction(b=(2.0,), a=(4.0, 3.0))
+    >>> block.static_gain(), block.is_stable()
+    (2.0, True)
+    >>> block.sampled(dt=0.1).radius() < 1
+    True
+    """
 
     b: tuple[float, ...]
     a: tuple[float, ...]
@@ -192,6 +247,37 @@ class ContinuousTransferFunction:
         """The parameters by name: a_1, ..., a_n, b_0, ..., b_m."""
         named = {f"a_{i}": value for i, value in enumerate(self.a, start=1)}
         return named | {f"b_{i}": value for i, value in enumerate(self.b)}
+
+    def to_scipy(self) -> Any:
+        """The block as a :class:`scipy.signal.lti`.
+
+        Raises
+        ------
+        ConfigError
+            If it has a delay, which an lti cannot hold.
+        """
+        from scipy.signal import lti
+
+        return lti(*self._in_s("a scipy.signal.lti", "to_scipy"))
+
+    def to_control(self) -> Any:
+        """The block as a :class:`control.TransferFunction`.
+
+        Raises
+        ------
+        ConfigError
+            If it has a delay, which that cannot hold, or python-control is not installed.
+        """
+        return _control().TransferFunction(*self._in_s("a control.TransferFunction", "to_control"))
+
+    def _in_s(self, target: str, method: str) -> tuple[Array, Array]:
+        """Numerator and denominator by falling power of s, of a block without delay."""
+        if self.delay:
+            raise ConfigError(
+                f"{target} holds no delay, and this block has {self.delay:g}: take sampled(dt).{method}(dt), "
+                "the same response at the samples of a held input"
+            )
+        return np.trim_zeros(np.array(self.b[::-1]), "f"), self.denominator
 
     def scaled(self, gain: float) -> ContinuousTransferFunction:
         """The block with its output multiplied by ``gain``."""

@@ -9,8 +9,10 @@ from pathlib import Path
 from hident import plugins
 from hident.commands.plans import described, load_plans
 from hident.commands.showing import print_columns
-from hident.config.spec import PLURALS, components, json_schema
+from hident.config.schema import json_schema
+from hident.config.spec import PLURALS, components
 from hident.config.suggest import did_you_mean, one_of
+from hident.engine.cases import DATA
 from hident.engine.experiment import Experiment
 from hident.errors import ConfigError
 
@@ -76,4 +78,4 @@ def print_config(config: Path, plugin_files: Iterable[Path]) -> None:
 def schema(plugin_files: Iterable[Path], *, unicode: bool = True) -> str:
     """The JSON Schema of configurations, in ASCII alone if it is to be."""
     plugins.load(plugin_files)
-    return json.dumps(json_schema(Experiment), indent=2, ensure_ascii=not unicode)
+    return json.dumps(json_schema(Experiment, DATA), indent=2, ensure_ascii=not unicode)

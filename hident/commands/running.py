@@ -130,7 +130,7 @@ def run_plans(
                     break
         return code
 
-    return _on_workers(work, place, jobs, plugin_files, quiet=quiet)
+    return _on_workers(work, place, jobs, _files(plans, plugin_files), quiet=quiet)
 
 
 def accept_plans(
@@ -161,7 +161,7 @@ def accept_plans(
             print(accept(place.folder(plan), results, measure, perturbations))
         return Exit.FINE
 
-    return _on_workers(work, place, jobs, plugin_files, quiet=quiet)
+    return _on_workers(work, place, jobs, _files(plans, plugin_files), quiet=quiet)
 
 
 def _on_workers(
@@ -192,6 +192,12 @@ def _on_workers(
     finally:
         end(executor)
     return code
+
+
+def _files(plans: Iterable[Plan], plugin_files: Iterable[Path]) -> tuple[Path, ...]:
+    """The plugin files that workers need."""
+    named = [file for plan in plans for file in plan.plugin_files]
+    return tuple(dict.fromkeys([*plugin_files, *named]))
 
 
 def warn_of_arithmetic() -> None:

@@ -62,14 +62,14 @@ class Document:
 
     def complaints_of(self, problems: Iterable[Problem]) -> list[Complaint]:
         """The problems in words, each with its place and key path."""
-        return [
-            Complaint(
-                place.line,
-                f"{place.text}: {spelled(problem.location) or 'file'}: {problem.message}{_got(problem)}",
-            )
-            for problem in problems
-            for place in (self.place(problem.location),)
-        ]
+        found = []
+        for problem in problems:
+            place = self.place(problem.location)
+            # What was written in Python is no file.
+            at = spelled(problem.location) or ("file" if self.places else "")
+            said = f"{problem.message}{_got(problem)}"
+            found.append(Complaint(place.line, ": ".join(filter(None, (place.text, at, said)))))
+        return found
 
     def error(self, problems: Iterable[Problem]) -> ConfigError:
         """One error that lists all problems; see :func:`error_of`."""

@@ -10,13 +10,14 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Mapping, Sized
-from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
 from pydantic import (
     AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     Strict,
@@ -27,6 +28,7 @@ from pydantic import (
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from hident.config.expression import number
+from hident.config.load import Document, problems_of
 from hident.config.meanings import meanings
 from hident.config.suggest import did_you_mean, one_of
 
@@ -101,10 +103,41 @@ def _increasing(interval: tuple[float, float]) -> tuple[float, float]:
 
 
 Interval = Annotated[tuple[Real, Real], AfterValidator(_increasing)]
+T = TypeVar("T")
+NonEmpty = Annotated[tuple[T, ...], Field(min_length=1)]
 
 
-class Spec(BaseModel):
-    """A frozen part of a configuration; unknown keys are refused with the nearest valid name."""
+def plain(value: Any) -> Any:
+    """What Python or numpy hands over, as a file would hold it: arrays are lists, numpy's numbers numbers."""
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass as _Meta
+else:
+
+    class _Meta(type(BaseModel)):
+        """Lets a spec that is made in Python complain in the words that a file would get."""
+
+        def __call__(cls, **fields):
+            try:
+                return super().__call__(**plain(fields))
+            except ValidationError as error:
+                raise Document(cls.__name__, fields).error(problems_of(error)) from None
+
+
+class Spec(BaseModel, metaclass=_Meta):
+    """A frozen part of a configuration; unknown keys are refused with the nearest valid name.
+
+    Raises
+    ------
+    ConfigError
+        If it is made in Python with fields that a configuration could not hold.
+    """
 
     # Schemas are built at first use: a command needs few of them.
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
@@ -256,9 +289,9 @@ def components(family: Family) -> dict[str, type[Component]]:
     return dict(sorted(_REGISTER.get(family, {}).items()))
 
 
-_FAMILY = "x-family"
+FAMILY_KEY = "x-family"
+"""What a schema says in the place of a component, see :mod:`hident.config.schema`."""
 # Pydantic leaves the bounds of a field with a validator of its own under its own names.
-_BOUNDS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "le": "maximum"}
 
 
 class Of:
@@ -276,13 +309,17 @@ class Of:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        # Families refer to each other, so they become definitions: see json_schema.
-        return {_FAMILY: self.family}
+        # Families refer to each other, so they become definitions: see hident.config.schema.
+        return {FAMILY_KEY: self.family}
 
     def validate(self, value: Any) -> Component:
         known = components(self.family)
         if isinstance(value, Component) and value.family == self.family:
             return value
+        if isinstance(value, Component):
+            raise self._error(
+                f"must be a {self.family}, not the {value.family} '{value.kind}'", (), value.kind
+            )
         bare = isinstance(value, str)
         if bare:
             value = {"kind": value}
@@ -322,43 +359,3 @@ def canonical(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [canonical(item) for item in value]
     return value
-
-
-def json_schema(model: type[Spec]) -> dict[str, Any]:
-    """The JSON Schema of a model, with every registered component of each family it can hold."""
-    definitions: dict[str, Any] = {}
-
-    def linked(node: Any) -> Any:
-        if isinstance(node, list):
-            return [linked(item) for item in node]
-        if not isinstance(node, dict):
-            return node
-        if _FAMILY in node:
-            rest = {key: linked(item) for key, item in node.items() if key != _FAMILY}
-            return {**rest, "$ref": f"#/$defs/{node[_FAMILY]}"}
-        # A field may have the name of a bound; its schema is a mapping, the bound a number.
-        return {
-            key if isinstance(item, dict) else _BOUNDS.get(key, key): linked(item)
-            for key, item in node.items()
-        }
-
-    def schema_of(cls: type[Spec]) -> dict[str, Any]:
-        schema = linked(cls.model_json_schema())
-        definitions.update(schema.pop("$defs", {}))
-        return dict(schema)
-
-    top = schema_of(model)
-    for family in PLURALS.values():
-        options: list[dict[str, Any]] = []
-        for kind, cls in components(family).items():
-            schema = schema_of(cls)
-            schema["properties"] = {"kind": {"const": kind}, **schema["properties"]}
-            bare = not schema.get("required")
-            schema["required"] = ["kind", *schema.get("required", [])]
-            options += [schema, {"const": kind}] if bare else [schema]
-        definitions[family] = {"anyOf": options}
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **top,
-        "$defs": dict(sorted(definitions.items())),
-    }

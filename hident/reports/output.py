@@ -25,10 +25,10 @@ from hident.engine.trial import digest
 from hident.ledger.published import PUBLISHED, REASONS
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import Verdict, frame, judge
-from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, left_out
+from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, misfits
 from hident.reports.scoring import scoring
 from hident.reports.style import style
-from hident.reports.tables import failures, written
+from hident.reports.tables.writing import failures, written
 from hident.run_folder import RunFolder, State
 
 _PACKAGES = ("numpy", "scipy", "finufft", "pandas", "matplotlib", "pydantic")
@@ -114,11 +114,11 @@ def check(plan: Plan) -> None:
     """
     experiment = plan.experiment
     problems = [
-        Problem((family, name, *((field,) if isinstance(field, str) else field)), message)
+        Problem((family, name, *place), message)
         for family, specs in (("tables", experiment.tables), ("figures", experiment.figures))
         for name, spec in specs.items()
         if isinstance(spec, ReportSpec)
-        for field, message in tuple(left_out(plan, spec)) or spec.misfits(plan)
+        for place, message in misfits(plan, spec)
     ]
     if problems:
         raise plan.document.error(problems)

@@ -95,13 +95,4 @@ class SystemSpec(Component):
 
     def provides(self) -> frozenset[str]:
         """The parts of :meth:`truth`: ``nonlinearity``, ``linear``, ``response``, ``value NAME``..."""
-        truth = self.truth()
-        parts: dict[str, Any] = {
-            "nonlinearity": truth.nonlinearity,
-            "linear": truth.linear,
-            "continuous": truth.continuous,
-            "response": truth.response,
-            "blocks": truth.blocks or None,
-        }
-        known = {name for name, part in parts.items() if part is not None}
-        return frozenset(known | {f"value {name}" for name in truth.values})
+        return self.truth().provides()

@@ -13,9 +13,9 @@ from hident.engine.results import Results, Series
 from hident.errors import ConfigError
 from hident.estimators.moving_horizon.searches import PartitionSearch
 from hident.ledger.verdicts import judge
+from hident.reports.figures.scatter import rank_correlation
+from hident.reports.one_trial.searches import draw_partition
 from hident.reports.output import check
-from hident.reports.scatter import rank_correlation
-from hident.reports.searches import draw_partition
 from hident.reports.style import legend_columns, style
 
 CONFIG = """\

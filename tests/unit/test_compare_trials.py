@@ -143,6 +143,27 @@ def test_more_trials_than_are_likely_are_a_difference(bench: Bench, moved: int, 
     assert found.allowed == ()
 
 
+def test_what_each_unit_might_may_be_more_than_all_together_may(bench: Bench) -> None:
+    def of_all(results: Results, count: int) -> Results:
+        series = [
+            replace(s, values=s.values + 0.3 * (np.arange(len(s.values)) < count)) for s in results.series
+        ]
+        return replace(results, series=tuple(series))
+
+    bench.accept(perturbed=40)
+    alone = Count(40, 40, 0).likely(40, 0.01 / 4)
+    bench.write(of_all(bench.plain, alone))
+    bench.foreign()
+    found = bench.compare()
+    together = Count(160, 160, 0).likely(160, 0.01 / 4)
+    assert 4 * alone > together
+    assert len([text for text in found.differences if "took another branch" in text]) == 4
+    assert (
+        f"the stored share, 0 of 40, makes up to {alone} likely; in all units {4 * alone} of 160 did, and "
+        f"the stored share, 0 of 160, makes up to {together} likely"
+    ) in found.differences[0]
+
+
 def test_where_no_share_is_stored_none_may_move(bench: Bench) -> None:
     accept(bench.out / "tiny", bench.results)
     bench.again(_branch(5), foreign=True)

@@ -59,7 +59,7 @@ class Erring(EstimatorSpec):
     def provides(self) -> frozenset[str]:
         return frozenset({"value a_1"})
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         if self.raises:
             _ERRORS[self.raises]()
         return Estimate(values={"a_1": float(record.y[0])})

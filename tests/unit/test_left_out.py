@@ -178,6 +178,9 @@ def test_other_nulls_and_what_is_no_component_are_refused(refused, assignment: s
 
 FIT = "figures:\n  f: {kind: static_fit, x_label: u, y_label: v, panels: [{interval: [-1, 1], curves: %s}]}\n"
 SCATTER = "figures:\n  f: {kind: scatter, panels: [{x: %s, y: {estimator: kernel, metric: mise}}]}\n"
+REALISATION = (
+    "figures:\n  f: {kind: realisation, interval: [-1, 1], estimators: [%s], at: [{excitation: prbs}]}\n"
+)
 LIMIT = """\
 tables:
   t: {kind: limit, title: T, x: level, along: samples, metric: mise, below: 1, estimators: [%s]}
@@ -192,6 +195,10 @@ LEVEL = "  level: {1: {}, 2: {estimators.two-stage: null}}\n"
             FIT % "[{estimator: two-stage, at: {excitation: prbs}}]",
             "figures.f.panels[0].curves[0].estimator: "
             "the estimator 'two-stage' is left out at excitation prbs",
+        ),
+        (
+            REALISATION % "two-stage",
+            "figures.f.estimators[0]: the estimator 'two-stage' is left out at excitation prbs",
         ),
         (
             SCATTER % "{estimator: two-stage, metric: mise, at: {excitation: prbs}}",

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from hident.errors import ConfigError
-from hident.reports.figures import Curve
+from hident.reports.figures.curve import Curve
 from hident.reports.output import Outputs, check, markdown
 from tests.unit.results_maker import made
 

@@ -292,7 +292,7 @@ def newcomer():
             def provides(self):
                 return frozenset({"value b_1"})
 
-            def fit(self, record, rng):
+            def fit(self, record, rng=None):
                 return Estimate(values={"b_1": float(np.mean(np.diff(record.y)))})
 
     return "newcomer"

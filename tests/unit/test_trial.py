@@ -41,7 +41,7 @@ class Witness(EstimatorSpec):
     def provides(self) -> frozenset[str]:
         return frozenset({"value a_1"})
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         match self.raises:
             case "estimation":
                 raise EstimationError("diverged")
@@ -55,6 +55,7 @@ class Witness(EstimatorSpec):
                 raise SystemExit(1)
             case "u" | "y":
                 getattr(record, self.raises)[0] = 0.0
+        assert rng is not None
         self.seen.append((record, rng.random()))
         return Estimate(values={"a_1": self.gain})
 

@@ -44,14 +44,12 @@ class CramerRao(BilinearSpec):
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset({"nonlinearity", "linear"})
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         phi, parts = self.design(record)
         root = partial(ArModel(np.array(self.noise.a)).whiten, parts=parts) if self.noise else identity
         regression = Regression.of(phi, self.lags, root, self.delay)
         bounds = cramer_rao(regression, *self.true_parameters(record), self.variance)
-        return Estimate(
-            values=self.named(*bounds, prefix="se_"), diagnostics={"condition": regression.condition}
-        )
+        return Estimate(values=self.named(*bounds, prefix="se_"))
 
 
 @component("estimator", "known_nonlinearity")
@@ -72,7 +70,7 @@ class KnownNonlinearity(WeightedSpec):
         values = {f"value {prefix}{name}" for name in names for prefix in ("", "se_")}
         return self.noise_names() | values | {"linear", "nonlinearity"}
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         phi, y, parts = self.data(record)
         weighted = self.weighted(phi, y, parts)
         theta = weighted.regression.theta(y)
@@ -85,5 +83,4 @@ class KnownNonlinearity(WeightedSpec):
             nonlinearity=self.nonlinearity,
             linear=self.linear(b),
             values=named | weighted.order_value(),
-            diagnostics={"condition": white.condition},
         )

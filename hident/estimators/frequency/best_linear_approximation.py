@@ -118,7 +118,7 @@ class BestLinear(EstimatorSpec):
     def check_record(self, record: Record) -> None:
         self._periods(record)
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         require_finite(record.y)
         require_varying(record.y, "output")
         u, y = self._periods(record)
@@ -135,7 +135,7 @@ class BestLinear(EstimatorSpec):
             for quantity, column in columns.items()
             for k, value in zip(self.harmonics, column, strict=True)
         }
-        return Estimate(values=values, details={"best_linear_approximation": found})
+        return Estimate(values=values)
 
     def _periods(self, record: Record) -> tuple[Array, Array]:
         """Input and output, each of shape (realisations, periods, samples per period)."""

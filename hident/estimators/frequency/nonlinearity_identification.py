@@ -94,7 +94,7 @@ class NonlinearityIdentification(EstimatorSpec):
                 f"{self.degree}"
             )
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         found = self.staircase(record)
         levels = found.levels
         drift = np.abs(levels.drift) / np.where(levels.drift_error > 0.0, levels.drift_error, np.inf)

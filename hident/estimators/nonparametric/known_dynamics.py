@@ -42,7 +42,7 @@ class KnownDynamics(EstimatorSpec):
         lag = next(i for i, b in enumerate(self.b) if b)
         return (first_coefficient(lag, self.b[lag]),)
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         self.require_experiments(record)
         block = self._block()
         return Estimate(linear=block, values=block.values())

@@ -187,7 +187,7 @@ class NonparametricSpec(EstimatorSpec):
         left_in = "" if self.known_point else ", a constant left in"
         return (replace(plain, rule=plain.rule + left_in),)
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         self.require_experiments(record)
         require_varying(record.u, "input")
         dynamics = self.prefilter.fit(record, rng) if self.prefilter else Estimate()
