@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hident import arithmetic, plugins
+from hident.config.load import Document
 from hident.config.spec import PLURALS, components, json_schema
 from hident.config.suggest import did_you_mean, one_of
 from hident.engine.experiment import Experiment, Plan, load
@@ -46,7 +47,7 @@ def all_configs() -> list[Path]:
 
 
 def load_plans(
-    configs: Iterable[Path],
+    configs: Iterable[Path | Document],
     assignments: Sequence[str] | None,
     options: Mapping[str, int | None],
     plugin_files: Iterable[Path],
@@ -60,7 +61,8 @@ def load_plans(
     errors: list[str] = []
     for config in configs:
         try:
-            plan = load(_file_of(config), assignments or (), options)
+            source = config if isinstance(config, Document) else file_of(config)
+            plan = load(source, assignments or (), options)
             check_published(plan)
             check(plan)
             plans.append(plan)
@@ -76,7 +78,7 @@ def load_plans(
     return plans
 
 
-def _file_of(config: Path) -> Path:
+def file_of(config: Path) -> Path:
     """The file that is meant: itself, or the one of this name under configs/ or here."""
     if config.suffix or config.exists():
         return config

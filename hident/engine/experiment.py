@@ -190,7 +190,9 @@ class Plan:
 
 
 def load(
-    path: Path, assignments: Sequence[str] = (), options: Mapping[str, int | None] = MappingProxyType({})
+    source: Path | Document,
+    assignments: Sequence[str] = (),
+    options: Mapping[str, int | None] = MappingProxyType({}),
 ) -> Plan:
     """Read a configuration, apply ``--set`` assignments and options such as trials, expand its cases.
 
@@ -199,7 +201,7 @@ def load(
     ConfigError
         With all that is wrong with the file, one line for each problem.
     """
-    document = override(read_leniently(path), assignments)
+    document = override(source if isinstance(source, Document) else read_leniently(source), assignments)
     for key, value in options.items():
         if value is not None:
             document = document.patched(key, value, Place(0, f"--{key} {value}"))
@@ -233,7 +235,7 @@ def load(
         for section, name, message in misnamed(experiment.tables, experiment.figures)
     )
     units = expansion.units(experiment.estimators, experiment.metrics, complaints)
-    plan = Plan(path, document, experiment, axes, tuple(units))
+    plan = Plan(Path(document.name), document, experiment, axes, tuple(units))
     complaints += document.complaints_of(_missing_paper(plan))
     if complaints:
         raise error_of(complaints)
