@@ -47,28 +47,32 @@ from hident.metrics.frequency import GainShapeError as GainShapeError, MovedDela
 from hident.metrics.frequency import Response as Response, ResponseError as ResponseError
 from hident.metrics.frequency import TrueResponse as TrueResponse
 from hident.metrics.models import LinearPercentError as LinearPercentError, SettlingTime as SettlingTime
-from hident.metrics.models import ValidationError as ValidationError
+from hident.metrics.models import ValidationPercentError as ValidationPercentError
 from hident.metrics.nonlinearity import IntegratedSquaredError as IntegratedSquaredError
 from hident.metrics.nonlinearity import NonlinearityPercentError as NonlinearityPercentError
 from hident.metrics.values import Coverage as Coverage, Error as Error, PercentError as PercentError
 from hident.metrics.values import Share as Share, TrueValue as TrueValue, Value as Value
 from hident.records import Estimate as Estimate, Record as Record
-from hident.reports.choices import Choices as Choices
-from hident.reports.convergence import Convergence as Convergence
-from hident.reports.distances import Distance as Distance, JointDistance as JointDistance
-from hident.reports.distributions import Distribution as Distribution
-from hident.reports.figures import Curve as Curve, Realisation as Realisation
-from hident.reports.frequency import AgainstTruth as AgainstTruth, Bode as Bode, LevelMeans as LevelMeans
-from hident.reports.frequency import Signals as Signals
-from hident.reports.limits import Limit as Limit, LimitFigure as LimitFigure
-from hident.reports.parameters import Efficiency as Efficiency, EfficiencyFigure as EfficiencyFigure
-from hident.reports.parameters import Gain as Gain, ParameterFigure as ParameterFigure
-from hident.reports.parameters import Parameters as Parameters
-from hident.reports.responses import SettlingMap as SettlingMap, Validation as Validation
-from hident.reports.scatter import Scatter as Scatter
-from hident.reports.searches import Search as Search
-from hident.reports.static_fits import StaticFit as StaticFit
-from hident.reports.tables import Grid as Grid, Rate as Rate
+from hident.reports.figures.bode import Bode as Bode
+from hident.reports.figures.curve import Curve as Curve
+from hident.reports.figures.limits import LimitFigure as LimitFigure
+from hident.reports.figures.parameters import EfficiencyFigure as EfficiencyFigure, Gain as Gain
+from hident.reports.figures.parameters import ParameterFigure as ParameterFigure
+from hident.reports.figures.scatter import Scatter as Scatter
+from hident.reports.one_trial.convergence import Convergence as Convergence
+from hident.reports.one_trial.experiments import LevelMeans as LevelMeans, Signals as Signals
+from hident.reports.one_trial.realisation import Realisation as Realisation
+from hident.reports.one_trial.responses import SettlingMap as SettlingMap, Validation as Validation
+from hident.reports.one_trial.searches import Search as Search
+from hident.reports.one_trial.static_fits import StaticFit as StaticFit
+from hident.reports.tables.against_truth import AgainstTruth as AgainstTruth
+from hident.reports.tables.choices import Choices as Choices
+from hident.reports.tables.distances import Distance as Distance, JointDistance as JointDistance
+from hident.reports.tables.distributions import Distribution as Distribution
+from hident.reports.tables.grid import Grid as Grid
+from hident.reports.tables.limits import Limit as Limit
+from hident.reports.tables.parameters import Efficiency as Efficiency, Parameters as Parameters
+from hident.reports.tables.rate import Rate as Rate
 from hident.signals.excitation import Filtered as Filtered, Iid as Iid, Multisine as Multisine
 from hident.signals.excitation import Multistep as Multistep, Prbs as Prbs, Sine as Sine
 from hident.signals.excitation import Staircase as Staircase

@@ -14,7 +14,6 @@ from contextlib import ExitStack, contextmanager
 from functools import cache
 from itertools import chain
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -23,13 +22,14 @@ from pydantic import ValidationError
 
 from hident import arithmetic, commands, plugins
 from hident.config.load import Document, problems_of, read_leniently
-from hident.config.spec import PLURALS, Component, Family, Of, canonical, components, json_schema, plain
+from hident.config.schema import json_schema
+from hident.config.spec import PLURALS, Component, Family, Of, canonical, components, plain
 from hident.config.suggest import one_of
 from hident.config.yaml12 import Place
 from hident.engine import runner
 from hident.engine.cores import usable_cores
 from hident.engine.executors import make_executor
-from hident.engine.expansion import missing, unfit
+from hident.engine.expansion import not_given, unfit
 from hident.engine.experiment import Experiment, Plan
 from hident.engine.fingerprint import without_source
 from hident.engine.preflight import check_records
@@ -250,7 +250,7 @@ def _truth(record: Record) -> frozenset[str]:
 
 
 def _require(named: str, what: str, needs: frozenset[str], given: frozenset[str]) -> None:
-    for need in missing(needs, given):
+    for need in not_given(needs, given):
         has = f"it has: {one_of(sorted(given))}" if given else "it has none"
         raise ConfigError(f"{named} needs the {need} of the {what}, which is not there ({has})")
 
@@ -371,16 +371,15 @@ def run(
         _require_source(plan)
     check_records(plan)
     with ExitStack() as stack, _as_in_a_run():
-        folder = stack.enter_context(TemporaryDirectory(prefix="hident-")) if store is None else store
-        writer = stack.enter_context(Store(Path(folder)).writing())
+        writer = None if store is None else stack.enter_context(Store(Path(store)).writing())
+        workers = 1
         if isinstance(executor, Executor):
             workers = usable_cores()
-        else:
-            workers = executor or 1
-            executor = stack.enter_context(make_executor(workers))
-        chosen = plan.experiment
+        elif executor is not None:
+            workers, executor = executor, make_executor(executor, plan.plugin_files)
+            stack.enter_context(executor)
         try:
-            return runner.run(plan, writer, executor, workers, trials=chosen.trials, seed=chosen.seed)
+            return runner.run(plan, store=writer, executor=executor, workers=workers)
         except runner.CrashReport as crash:
             crash.add_note(crash.tracebacks)
             raise
@@ -399,19 +398,22 @@ def _require_source(plan: Plan) -> None:
         )
 
 
-def write(results: Results, folder: str | Path) -> None:
+def write(results: Results, folder: str | Path) -> tuple[str, ...]:
     """Write what ``hident run`` writes to a folder: tables, figures, verdicts, all trials, run.json.
+
+    Returns
+    -------
+    tuple of str
+        A message for each figure that cannot be drawn.
 
     Raises
     ------
     StoreError
         If the folder cannot be written.
-    ConfigError
-        If a figure cannot be drawn.
     """
-    from hident.reports import output
+    from hident.reports.output import Outputs
 
-    output.write(results, Path(folder), {})
+    return Outputs(results.plan, Path(folder)).write(results, {})
 
 
 def status(
@@ -424,14 +426,13 @@ def status(
     overrides: Mapping[str, Any] = _NONE,
 ) -> dict[str, Any]:
     """How many trials a store holds of an experiment, of how many, and the state of its outputs."""
-    from hident.reports.output import output_key, state
+    from hident.reports.output import Outputs
 
     plan = validate(experiment, trials=trials, seed=seed, overrides=overrides)
-    total, chosen = plan.experiment.trials, plan.experiment.seed
     return {
-        "stored": sum(runner.stored(plan, Store(Path(store)), total, chosen)),
-        "of": total * len(plan.units),
-        "outputs": state(Path(out) / plan.name, output_key(plan, chosen, total)),
+        "stored": sum(runner.stored(plan, Store(Path(store)))),
+        "of": plan.trials * len(plan.units),
+        "outputs": Outputs(plan, Path(out) / plan.name).state(),
     }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from hident.numerics.parts import Parts, whole
 # Times written with a few digits are uneven by their rounding.
 _UNEVEN = 1e-3
 
+T = TypeVar("T")
 Response = Callable[[Array, float], Array]
 """The noise-free output (N,) to an input (N,), given the sampling interval."""
 
@@ -103,12 +104,19 @@ def _provided(parts: Truth | Estimate, names: Iterable[str]) -> frozenset[str]:
     return frozenset(known | {f"value {name}" for name in parts.values})
 
 
+def needed(part: T | None) -> T:
+    """A part of a truth or an estimate that is there, as was seen before the run."""
+    assert part is not None
+    return part
+
+
 @dataclass(frozen=True, eq=False)
 class Record:
     """Input and output, float64 of shape (N,), at sampling interval ``dt`` (None: discrete time).
 
-    ``parts`` are the experiments by name, one after the other, where several were made or where it matters
-    what the input is between its samples. ``truth`` is there if the record was simulated.
+    ``parts`` are the experiments by name, one after the other, where several were made, where one has a
+    sampling interval of its own, or where it matters what the input is between its samples. ``truth`` is
+    there if the record was simulated.
 
     Raises
     ------
@@ -198,7 +206,6 @@ class Estimate:
     continuous: ContinuousTransferFunction | None = None
     response: Response | None = None
     values: Mapping[str, float] = field(default_factory=dict)
-    diagnostics: Mapping[str, float] = field(default_factory=dict)
     details: Mapping[str, Any] = field(default_factory=dict)
 
     def provides(self) -> frozenset[str]:

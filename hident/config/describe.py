@@ -29,7 +29,7 @@ def fields(spec: type[Spec], prefix: str = "") -> Iterator[tuple[str, str, str, 
     """
     for name, field in spec.model_fields.items():
         path = f"{prefix}{name}"
-        annotation = _annotation(field)
+        annotation = annotation_of(field)
         default = (
             "required" if field.is_required() else _default(field.get_default(call_default_factory=True))
         )
@@ -46,11 +46,12 @@ def fields(spec: type[Spec], prefix: str = "") -> Iterator[tuple[str, str, str, 
 
 def bounds(field: FieldInfo) -> str:
     """The bounds of a number that a field holds, e.g. `` > 0, < 1``; empty if there are none."""
-    holds = _holds(_annotation(field))
+    holds = _holds(annotation_of(field))
     return "" if " or " in holds else holds.removeprefix("whole ").removeprefix("number")
 
 
-def _annotation(field: FieldInfo) -> Any:
+def annotation_of(field: FieldInfo) -> Any:
+    """The annotation of a field with its marks, as it is written."""
     annotation: Any = field.annotation
     return Annotated[annotation, *field.metadata] if field.metadata else annotation
 

@@ -17,6 +17,7 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     Strict,
@@ -102,6 +103,8 @@ def _increasing(interval: tuple[float, float]) -> tuple[float, float]:
 
 
 Interval = Annotated[tuple[Real, Real], AfterValidator(_increasing)]
+T = TypeVar("T")
+NonEmpty = Annotated[tuple[T, ...], Field(min_length=1)]
 
 
 def plain(value: Any) -> Any:
@@ -286,9 +289,9 @@ def components(family: Family) -> dict[str, type[Component]]:
     return dict(sorted(_REGISTER.get(family, {}).items()))
 
 
-_FAMILY = "x-family"
+FAMILY_KEY = "x-family"
+"""What a schema says in the place of a component, see :mod:`hident.config.schema`."""
 # Pydantic leaves the bounds of a field with a validator of its own under its own names.
-_BOUNDS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "le": "maximum"}
 
 
 class Of:
@@ -306,8 +309,8 @@ class Of:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        # Families refer to each other, so they become definitions: see json_schema.
-        return {_FAMILY: self.family}
+        # Families refer to each other, so they become definitions: see hident.config.schema.
+        return {FAMILY_KEY: self.family}
 
     def validate(self, value: Any) -> Component:
         known = components(self.family)
@@ -356,43 +359,3 @@ def canonical(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [canonical(item) for item in value]
     return value
-
-
-def json_schema(model: type[Spec]) -> dict[str, Any]:
-    """The JSON Schema of a model, with every registered component of each family it can hold."""
-    definitions: dict[str, Any] = {}
-
-    def linked(node: Any) -> Any:
-        if isinstance(node, list):
-            return [linked(item) for item in node]
-        if not isinstance(node, dict):
-            return node
-        if _FAMILY in node:
-            rest = {key: linked(item) for key, item in node.items() if key != _FAMILY}
-            return {**rest, "$ref": f"#/$defs/{node[_FAMILY]}"}
-        # A field may have the name of a bound; its schema is a mapping, the bound a number.
-        return {
-            key if isinstance(item, dict) else _BOUNDS.get(key, key): linked(item)
-            for key, item in node.items()
-        }
-
-    def schema_of(cls: type[Spec]) -> dict[str, Any]:
-        schema = linked(cls.model_json_schema())
-        definitions.update(schema.pop("$defs", {}))
-        return dict(schema)
-
-    top = schema_of(model)
-    for family in PLURALS.values():
-        options: list[dict[str, Any]] = []
-        for kind, cls in components(family).items():
-            schema = schema_of(cls)
-            schema["properties"] = {"kind": {"const": kind}, **schema["properties"]}
-            bare = not schema.get("required")
-            schema["required"] = ["kind", *schema.get("required", [])]
-            options += [schema, {"const": kind}] if bare else [schema]
-        definitions[family] = {"anyOf": options}
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **top,
-        "$defs": dict(sorted(definitions.items())),
-    }

@@ -19,3 +19,10 @@ def did_you_mean(name: str, allowed: Iterable[str]) -> str:
 def one_of(names: Iterable[str]) -> str:
     """Return the names as a comma-separated list in their given order."""
     return ", ".join(str(name) for name in names)
+
+
+def there_is_no(what: str, name: str, known: Iterable[str]) -> str:
+    """The message about a name that is none of the known ones."""
+    known = list(known)
+    there = f"there are: {one_of(known)}" if known else "there is none"
+    return f"there is no {what} '{name}'{did_you_mean(name, known)} ({there})"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,8 +14,9 @@ from pydantic import ValidationError
 from hident.config.load import Document, Problem, problems_of
 from hident.config.spec import Of, canonical
 from hident.config.suggest import one_of
+from hident.config.variables import filled
 from hident.config.yaml12 import Complaint, Location
-from hident.engine.cases import DATA, Axis, Label
+from hident.engine.cases import CHANGEABLE, DATA, Axis, Label, Skip
 from hident.engine.comparable import incomparable
 from hident.engine.fingerprint import fingerprint, libraries
 from hident.engine.trial import Data, digest
@@ -82,17 +83,20 @@ class Unit:
 class Expansion:
     """The units of an experiment; each part is validated once for each choice of the axes that touch it."""
 
-    def __init__(self, document: Document, axes: tuple[Axis, ...]) -> None:
-        self._document, self._axes = document, axes
+    def __init__(self, document: Document, axes: tuple[Axis, ...], skip: tuple[Skip, ...] = ()) -> None:
+        self._document, self._axes, self._skip = document, axes, skip
+        self._skipped: set[int] = set()
         self._parts: dict[tuple[Any, ...], Any] = {}
         self._complaints: list[Complaint] = []
 
     def document(self, choice: Mapping[int, int]) -> Document:
         """The document with the chosen axes applied, each at its chosen label."""
-        document = self._document
+        document, values = self._document, {}
         for axis, index in sorted(choice.items()):
             document = self._axes[axis].apply(document, index)
-        return document
+            values |= self._axes[axis].variables[index]
+        sections = {name: filled(document.data[name], values) for name in CHANGEABLE if name in document.data}
+        return replace(document, data={**document.data, **sections})
 
     def complaints(self) -> list[Complaint]:
         """What is wrong with any part at any choice, whether or not the whole can be expanded."""
@@ -104,7 +108,7 @@ class Expansion:
             choices = self._choices({root})
             if 1 < choices.count <= _MOST_UNITS:
                 for choice in choices:
-                    if root == ("data",) or not self._is_left_out(root[1], choice):
+                    if not self._is_left_out(root[1] if root[1:] else None, choice):
                         self._part(root, choice)
         return self._complaints
 
@@ -139,12 +143,23 @@ class Expansion:
                 unit = self._unit(name, scored, choice)
                 if unit is not None:
                     found.append((self._relevant(("data",), choice), unit))
+        idle = [i for i in range(len(self._skip)) if i not in self._skipped]
+        self._complaints += self._document.complaints_of(
+            Problem(("skip", i), "leaves nothing out: no estimate has all these labels") for i in idle
+        )
         complaints += self._complaints
         return [unit for _, unit in sorted(found, key=lambda pair: pair[0])]
 
-    def _is_left_out(self, name: str, choice: Mapping[int, int]) -> bool:
-        """Whether a chosen label leaves the estimator out, whatever the others set."""
-        return any(name in self._axes[axis].leaves_out(index) for axis, index in choice.items())
+    def _is_left_out(self, name: str | None, choice: Mapping[int, int]) -> bool:
+        """Whether the estimator, or every one (None), has no unit there."""
+        labels = self._labels(choice)
+        covering = {i for i, skip in enumerate(self._skip) if skip.covers(name, labels)}
+        self._skipped |= covering
+        # Whatever the other labels set.
+        return bool(covering) or any(name in self._axes[i].leaves_out(j) for i, j in choice.items())
+
+    def _labels(self, choice: Mapping[int, int]) -> dict[str, Label]:
+        return {self._axes[i].name: self._axes[i].labels[j] for i, j in choice.items()}
 
     def _unit(self, name: str, scored: list[str], choice: dict[int, int]) -> Unit | None:
         data = self._part(("data",), choice)
@@ -152,8 +167,7 @@ class Expansion:
         metrics = {metric: self._part(("metrics", metric), choice) for metric in scored}
         if data is None or estimator is None or None in metrics.values():
             return None
-        labels = {self._axes[i].name: self._axes[i].labels[j] for i, j in choice.items()}
-        unit = Unit(labels, name, data, estimator, metrics)
+        unit = Unit(self._labels(choice), name, data, estimator, metrics)
         if problems := list(_mismatches(unit)):
             self._complaints += self.document(choice).complaints_of(problems)
         return unit
@@ -203,7 +217,7 @@ def _validated(root: tuple[str, ...], data: Mapping[str, Any]) -> Any:
             return Data.model_validate({name: data[name] for name in DATA if name in data})
 
 
-def missing(needs: frozenset[str], given: frozenset[str]) -> list[str]:
+def not_given(needs: frozenset[str], given: frozenset[str]) -> list[str]:
     """The needs that are not given; "linear or continuous" is met by either."""
     return sorted(need for need in needs if given.isdisjoint(need.split(" or ")))
 
@@ -247,7 +261,7 @@ def _mismatches(unit: Unit) -> Iterator[Problem]:
         )
         return
     true, estimated = data.system.provides(), unit.estimator.provides()
-    for need in missing(unit.estimator.needs_of_truth(), true):
+    for need in not_given(unit.estimator.needs_of_truth(), true):
         yield Problem(
             ("estimators", unit.name),
             f"the estimator '{unit.estimator.kind}' needs the {need} of the system, which "
@@ -262,13 +276,13 @@ def _mismatches(unit: Unit) -> Iterator[Problem]:
 
 def _unmet(unit: Unit, metric: MetricSpec, true: frozenset[str], estimated: frozenset[str]) -> Iterator[str]:
     """What a metric needs and does not get."""
-    unknown = missing(metric.needs_of_truth(), true)
+    unknown = not_given(metric.needs_of_truth(), true)
     for need in unknown:
         yield (
             f"the metric '{metric.kind}' needs the {need} of the system, which "
             f"'{unit.data.system.kind}' does not have (it has: {one_of(sorted(true))})"
         )
-    for need in sorted({*missing(metric.needs_of_estimate(), estimated)} - {*unknown}):
+    for need in sorted({*not_given(metric.needs_of_estimate(), estimated)} - {*unknown}):
         yield (
             f"the metric '{metric.kind}' needs the {need} of the estimate, which estimator "
             f"'{unit.name}' ({unit.estimator.kind}) does not give (it gives: "

@@ -131,8 +131,6 @@ class Results:
     """
 
     plan: Plan
-    seed: int
-    trials: int
     series: tuple[Series, ...]
 
     def select(
@@ -178,7 +176,7 @@ class Results:
                     **{axis: series.unit.labels.get(axis, "") for axis in axes},
                     "estimator": series.unit.name,
                     "metric": series.metric,
-                    "trial": range(self.trials),
+                    "trial": range(self.plan.trials),
                     "value": series.values,
                 }
             )

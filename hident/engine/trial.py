@@ -126,8 +126,10 @@ def generate(data: Data, seed: int, trial: int, perturbation: int = 0) -> Record
     values of u stay equal, so that a held input keeps its levels. The truth stays.
     """
     inputs = data.streams.generator("input", seed, data.key, trial)
-    stretches = data.excitation.stretches(data.samples, _interval(data))
-    if len(stretches) > 1 or data.system.follows_waveforms():
+    interval = _interval(data)
+    stretches = data.excitation.stretches(data.samples, interval)
+    one_grid = len(stretches) == 1 and stretches[0].dt == interval
+    if not one_grid or data.system.follows_waveforms():
         u, y, parts = _experiments(data.system, stretches, inputs)
     else:
         u, y, parts = *_sampled(data.system, stretches[0], inputs), {}

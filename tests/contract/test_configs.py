@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -32,7 +33,7 @@ ANNOTATIONS = {"$defs", "$schema", "title", "description", "default", "discrimin
 def complaints(value, rule, definitions, at="file"):
     """What a value breaks of a JSON Schema; a keyword that is not known here is an error."""
     mapping, items = value if isinstance(value, dict) else {}, value if isinstance(value, list) else []
-    number = value if isinstance(value, int | float) else math.nan
+    number, text = value if isinstance(value, int | float) else math.nan, str(value)
     for word, wanted in rule.items():
         broken = False
         match word:
@@ -65,8 +66,9 @@ def complaints(value, rule, definitions, at="file"):
                     yield from complaints(item, inner, definitions, f"{at}[{i}]")
             case "minProperties":
                 broken = isinstance(value, dict) and len(value) < wanted
-            case "minLength":
-                broken = isinstance(value, str) and len(value) < wanted
+            case "pattern" | "minLength":
+                short = len(text) < wanted if word == "minLength" else not re.search(wanted, text)
+                broken = isinstance(value, str) and short
             case "minItems":
                 broken = isinstance(value, list) and len(items) < wanted
             case "maxItems":
@@ -124,7 +126,7 @@ class TestEveryConfiguration:
         ({"titel": "T"}, "file: additionalProperties"),
         ({"trials": 0}, "file.trials: minimum"),
         ({"trials": True}, "file.trials: type"),
-        ({"samples": "many"}, "file.samples: type"),
+        ({"samples": "many"}, "file.samples: anyOf"),
         ({"system": "hammerstien"}, "file.system: anyOf"),
         ({"metrics": {"a": {"kind": "error", "off": ["a_1"]}}}, "file.metrics.a: anyOf"),
         ({"cases": {"samples": 5}}, "file.cases.samples: anyOf"),

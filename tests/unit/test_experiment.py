@@ -323,7 +323,7 @@ class TestMessages:
             "a.yaml:11: estimators.k.bandwidth.h0: must be greater than 0 (got -1)",
             "a.yaml:17: samples: must be a whole number >= 1 (got 'x')",
             "a.yaml:18: estimators.iv.order: must be greater than or equal to 1 (got 0)",
-            f"a.yaml:19: cases.seed: a case cannot change 'seed' ({CHANGEABLE})",
+            f"a.yaml:19: cases.seed: a case cannot change 'seed' ({CHANGEABLE}), and nothing uses '$seed'",
         ]
 
     def test_a_value_in_a_case_is_told_at_its_own_line(self, refused):
@@ -373,13 +373,19 @@ class TestMessages:
             ),
             (
                 "{n: {a: 3}}",
-                f"cases.n: must set values by their key path under each label, {LABELLED}",
+                f"cases.n: a case cannot change 'n' ({CHANGEABLE}), and nothing uses '$n'",
+            ),
+            (
+                "{n: {a: 3, b: {samples: 3}}}",
+                f"cases.n: must set values by their key path under each label, {LABELLED}, "
+                "or give a value under each, as 'label: value'",
             ),
             ("{samples: [50, 60, 50]}", "cases.samples: holds 50 twice (got [50, 60, 50])"),
             ("{samples: [50, '50']}", "cases.samples: holds 50 twice (got [50, '50'])"),
             (
                 "{sampels: [1]}",
-                f"cases.sampels: a case cannot change 'sampels'; did you mean 'samples'? ({CHANGEABLE})",
+                f"cases.sampels: a case cannot change 'sampels'; did you mean 'samples'? ({CHANGEABLE}), "
+                "and nothing uses '$sampels'",
             ),
             ("{n: {a: {title: b}}}", f"cases.n: a case cannot change 'title' ({CHANGEABLE})"),
             (
@@ -463,9 +469,9 @@ class TestMessages:
             (
                 ("samples: 50", "samples: 50\nestimators2: 3"),
                 [
-                    "11: estimators2: unknown key; did you mean 'estimators'? (allowed: cases, samples, dt, "
-                    "system, excitation, noise, streams, version, title, paper, seed, trials, estimators, "
-                    "metrics, tables, figures, published)"
+                    "11: estimators2: unknown key; did you mean 'estimators'? (allowed: cases, skip, "
+                    "samples, dt, system, excitation, noise, streams, version, title, plugins, paper, seed, "
+                    "trials, estimators, metrics, tables, figures, published)"
                 ],
             ),
             (
@@ -521,13 +527,13 @@ published:
             "a.yaml:25: tables.t.columns[1].metric: there is no metric 'a' (there are: mise, a a_1)",
             "a.yaml:27: figures.f.at[0].samples: there is no label of samples '70' (there are: 50, 60)",
             "a.yaml:28: published: needs 'paper', the folder under experiments/ with the numbers",
+            "a.yaml:31: published.cells[0].row: there is no axis 'n' (there are: samples)",
             "a.yaml:31: published.cells[0].estimator: there is no estimator 'ik'; did you mean 'k'? "
             "(there are: k, iv)",
             "a.yaml:31: published.cells[0].metric: there is no metric 'mis'; did you mean 'mise'? "
             "(there are: mise, a a_1)",
-            "a.yaml:31: published.cells[0].at: there is no axis 'x' (there are: samples)",
-            "a.yaml:31: published.cells[0].row: there is no axis 'n' (there are: samples)",
-            "a.yaml:32: published.cells[1].at.samples: there is no label '61' (there are: 50, 60)",
+            "a.yaml:31: published.cells[0].at.x: there is no axis 'x' (there are: samples)",
+            "a.yaml:32: published.cells[1].at.samples: there is no label of samples '61' (there are: 50, 60)",
         ]
 
     @pytest.mark.parametrize("runs", ["0", "-3", "1.5", "true", "unknwn", "[1]"])

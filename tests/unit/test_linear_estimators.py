@@ -52,7 +52,6 @@ def test_constant_input_to_the_block_is_recovered_exactly():
         )
         assert block(estimate).b == (1.0,)
         assert block(estimate).a == (estimate.values["a_1"], estimate.values["a_2"])
-        assert 1.0 <= estimate.diagnostics["condition"] < 1e6
 
 
 @pytest.mark.parametrize("p", [1, 3])
@@ -88,7 +87,6 @@ def test_unit_of_the_output_does_not_matter():
         plain, scaled = estimate(y), estimate(1e-9 * y)
         np.testing.assert_allclose(block(scaled).a, block(plain).a, rtol=1e-9)
         assert scaled.values["c"] == pytest.approx(1e-9 * plain.values["c"], rel=1e-9)
-        assert scaled.diagnostics["condition"] == pytest.approx(plain.diagnostics["condition"], rel=1e-6)
 
 
 def test_instrumental_variables_are_consistent_under_noise_where_least_squares_is_not():
@@ -260,7 +258,6 @@ def test_prefiltered_kernel_is_the_two_stage_method():
     estimate = spec.fit(Record(u, y), RNG)
     step1 = instrumental_variables(y, u, 1)
     assert estimate.values == step1.values and estimate.linear == step1.linear
-    assert estimate.diagnostics == step1.diagnostics
     points = np.linspace(-2.0, 2.0, 41)
     filtered = y[1:] - step1.values["a_1"] * y[:-1]
     expected = kernel_regression(

@@ -8,8 +8,7 @@ from pydantic import ValidationError
 from scipy.signal import cont2discrete
 
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
-from hident.metrics.models import LinearPercentError, fit_error
-from hident.metrics.models import ValidationError as ResponseError
+from hident.metrics.models import LinearPercentError, ValidationPercentError, fit_error
 from hident.metrics.values import TrueValue
 from hident.records import Estimate, Record, Truth
 from hident.signals.excitation import Multistep
@@ -81,8 +80,8 @@ class TestLinearPercentError:
             LinearPercentError(step=0)
 
 
-class TestValidationError:
-    METRIC = ResponseError(excitation=Multistep(switching_time=1, std=1), samples=300)
+class TestValidationPercentError:
+    METRIC = ValidationPercentError(excitation=Multistep(switching_time=1, std=1), samples=300)
 
     def score(self, response, metric=METRIC):
         truth = Truth(response=BLOCK.respond)

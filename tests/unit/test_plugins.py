@@ -58,8 +58,11 @@ def _own_register(monkeypatch):
     monkeypatch.setattr(spec, "_REGISTER", {**spec._REGISTER, **register})
     before = set(sys.modules)
     yield
+    # A library that is loaded meanwhile stays: parts of numpy cannot be loaded twice.
+    libraries = {name.partition(".")[0] for name in before} | {"scipy", "pandas"}
     for name in set(sys.modules) - before:
-        del sys.modules[name]
+        if name.partition(".")[0] not in libraries:
+            del sys.modules[name]
 
 
 def refused(*files):
@@ -76,6 +79,44 @@ def test_a_file_adds_an_estimator(tmp_path):
     plan = load(tmp_path / "a.yaml")
     assert canonical(plan.units[0].estimator) == {"kind": "plugin_mean", "scale": 2.0}
     assert components("estimator")["plugin_mean"].summary() == "The mean of the output, whatever the input."
+
+
+class TestFilesThatAConfigurationNames:
+    def test_are_beside_it(self, tmp_path):
+        folder = tmp_path / "study"
+        folder.mkdir()
+        (folder / "mine.py").write_text(PLUGIN.format(kind="plugin_mean"))
+        (folder / "a.yaml").write_text(CONFIG + "plugins: [mine.py]\n")
+        plan = load(folder / "a.yaml")
+        assert canonical(plan.units[0].estimator) == {"kind": "plugin_mean", "scale": 2.0}
+        assert plan.plugin_files == (folder / "mine.py",)
+
+    def test_count_for_the_keys_as_files_of_the_command_line_do(self, tmp_path):
+        (tmp_path / "mine.py").write_text(PLUGIN.format(kind="plugin_mean"))
+        (tmp_path / "a.yaml").write_text(CONFIG + "plugins: [mine.py]\n")
+        (tmp_path / "b.yaml").write_text(CONFIG)
+        ours = [unit.keys(1) for unit in load(tmp_path / "a.yaml").units]
+        assert ours == [unit.keys(1) for unit in load(tmp_path / "b.yaml").units]
+
+    @pytest.mark.parametrize(
+        ("written", "message"),
+        [
+            ("[mien.py]", "plugins[0]: there is no file {folder}/mien.py; did you mean 'mine.py'?"),
+            (
+                "[mine.py]",
+                "plugins[0]: plugin {folder}/mine.py cannot be loaded: ZeroDivisionError: division by zero",
+            ),
+            ("mine.py", "plugins: must be a list (got 'mine.py')"),
+            ("[3]", "plugins[0]: must be text (got 3)"),
+        ],
+    )
+    def test_messages(self, tmp_path, written, message):
+        (tmp_path / "mine.py").write_text("1 / 0\n")
+        config = CONFIG.replace("plugin_mean, scale: 2", "instrumental_variables, order: 1, instrument: abs")
+        (tmp_path / "a.yaml").write_text(config.replace("[mean]", "[a_1]") + f"plugins: {written}\n")
+        with pytest.raises(ConfigError) as caught:
+            load(tmp_path / "a.yaml")
+        assert str(caught.value) == f"{tmp_path}/a.yaml:9: {message.format(folder=tmp_path)}"
 
 
 def test_the_command_line_lists_and_validates_with_it(tmp_path):

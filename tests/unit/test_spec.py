@@ -8,6 +8,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from hident.config.describe import fields
 from hident.config.load import problems_of
 from hident.config.meanings import meanings
+from hident.config.schema import json_schema
 from hident.config.spec import (
     PLURALS,
     Component,
@@ -19,7 +20,6 @@ from hident.config.spec import (
     canonical,
     component,
     components,
-    json_schema,
 )
 from hident.config.suggest import did_you_mean, one_of
 from hident.config.yaml12 import spelled

@@ -94,7 +94,6 @@ def test_spec_recovers_the_system():
         estimate.nonlinearity(points), Polynomial(coefficients=(0, *A))(points), atol=1e-9
     )
     assert estimate.values["loss"] < 1e-18 * float(record.y @ record.y)
-    assert estimate.diagnostics["singular_value_ratio"] < 1e-12
 
 
 def test_any_basis_and_delay():

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from hident.errors import EstimationError
-from hident.estimators.moving_horizon.searches import History
+from hident.estimators.convergence import History
 from hident.estimators.voros_hammerstein import (
     Rule,
     Structure,

@@ -49,9 +49,7 @@ class CramerRao(BilinearSpec):
         root = partial(ArModel(np.array(self.noise.a)).whiten, parts=parts) if self.noise else identity
         regression = Regression.of(phi, self.lags, root, self.delay)
         bounds = cramer_rao(regression, *self.true_parameters(record), self.variance)
-        return Estimate(
-            values=self.named(*bounds, prefix="se_"), diagnostics={"condition": regression.condition}
-        )
+        return Estimate(values=self.named(*bounds, prefix="se_"))
 
 
 @component("estimator", "known_nonlinearity")
@@ -85,5 +83,4 @@ class KnownNonlinearity(WeightedSpec):
             nonlinearity=self.nonlinearity,
             linear=self.linear(b),
             values=named | weighted.order_value(),
-            diagnostics={"condition": white.condition},
         )

@@ -219,11 +219,10 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
         errors: tuple[Array, Array],
         *,
         values: Mapping[str, float] = MappingProxyType({}),
-        diagnostics: Mapping[str, float] = MappingProxyType({}),
     ) -> Estimate:
         """The estimate of b (n,) and a (m,), with standard ``errors``, from the outputs ``y`` (rows,).
 
-        ``values`` and ``diagnostics`` are what the method adds to those of all.
+        ``values`` are what the method adds to those of all.
         """
         b, a = parameters
         regression = weighted.regression
@@ -238,7 +237,6 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
                 **weighted.order_value(),
                 **values,
             },
-            diagnostics={"condition": weighted.white.condition, **diagnostics},
         )
 
 
@@ -252,7 +250,4 @@ class TwoStage(WeightedBilinearSpec):
         found = two_stage(weighted.regression, y)
         variance = weighted.white.variance(y, weighted.white.theta(y))
         errors = weighted.white.standard_errors(found.b, found.a, variance)
-        first, *others = found.singular_values
-        ratio = others[0] / first if others else 0.0
-        diagnostics = {"singular_value_ratio": float(ratio)}
-        return self.estimate(weighted, y, (found.b, found.a), errors, diagnostics=diagnostics)
+        return self.estimate(weighted, y, (found.b, found.a), errors)

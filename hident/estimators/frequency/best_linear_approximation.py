@@ -135,7 +135,7 @@ class BestLinear(EstimatorSpec):
             for quantity, column in columns.items()
             for k, value in zip(self.harmonics, column, strict=True)
         }
-        return Estimate(values=values, details={"best_linear_approximation": found})
+        return Estimate(values=values)
 
     def _periods(self, record: Record) -> tuple[Array, Array]:
         """Input and output, each of shape (realisations, periods, samples per period)."""

@@ -17,10 +17,11 @@ from pydantic import Field
 from hident.arrays import Array
 from hident.config.spec import Count, Spec
 from hident.errors import EstimationError
+from hident.estimators.convergence import History
 from hident.estimators.moving_horizon.hammerstein_iteration import Iteration, iterate
 from hident.estimators.moving_horizon.linear_transform import StageSpec, block_of
 from hident.estimators.moving_horizon.partition import Partition, require_inside
-from hident.estimators.moving_horizon.searches import History, PartitionSearch, best_pair
+from hident.estimators.moving_horizon.searches import PartitionSearch, best_pair
 from hident.estimators.moving_horizon.static_functions import (
     PolynomialFunction,
     ThreeSegmentFunction,

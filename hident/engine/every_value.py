@@ -1,0 +1,93 @@
+"""``of: all``: every value that a metric can score, or that the metric of a table or a figure scores."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from hident.config.load import Document, Problem
+from hident.config.spec import Of
+from hident.config.yaml12 import Complaint
+from hident.engine.expansion import not_given
+from hident.estimators.base import EstimatorSpec
+from hident.metrics.base import MetricSpec
+from hident.systems.base import SystemSpec
+
+ALL = "all"
+_OF_A_VALUE = "value "
+
+
+def with_every_value(document: Document, first: Document, complaints: list[Complaint]) -> Document:
+    """The document with names in the place of ``of: all``; ``first`` is it at the first label of every axis.
+
+    A metric's are in the order of their names, numbers in them by size; those of a table or a figure in the
+    order of its metric's.
+    """
+    for section in ("metrics", "tables", "figures"):
+        entries = document.data.get(section)
+        for name, entry in entries.items() if isinstance(entries, Mapping) else ():
+            if not isinstance(entry, Mapping) or entry.get("of") != ALL:
+                continue
+            at = (section, name, "of")
+            found = list(_scored(first, entry) if section == "metrics" else _shown(document, entry))
+            if found:
+                document = document.patched(".".join(at), found, document.place(at))
+            elif section == "metrics":
+                message = "no value is given by all that it scores: name the values, or 'estimators'"
+                complaints += document.complaints_of([Problem(at, message, ALL)])
+            else:
+                message = "'metric' must be the name of a metric whose values have names"
+                complaints += document.complaints_of([Problem(at, message, ALL)])
+    return document
+
+
+def _shown(document: Document, entry: Mapping[str, Any]) -> list[str]:
+    """The values of the metric of a table or a figure."""
+    metrics = document.data.get("metrics")
+    metric = metrics.get(entry.get("metric")) if isinstance(metrics, Mapping) else None
+    of = metric.get("of") if isinstance(metric, Mapping) else None
+    return of if isinstance(of, list) else []
+
+
+def _scored(first: Document, metric: Mapping[str, Any]) -> list[str]:
+    """The values that a metric can score of every estimator that it is for."""
+    known = first.data.get("estimators")
+    every = known if isinstance(known, Mapping) else {}
+    names = metric.get("estimators") or every
+    try:
+        system = Of("system").validate(first.data.get("system"))
+        estimators = [Of("estimator").validate(every[name]) for name in names if name in every]
+    except ValidationError:
+        # Which is told as well.
+        return []
+    assert isinstance(system, SystemSpec)
+    true = system.provides()
+    estimated = [e.provides() for e in estimators if isinstance(e, EstimatorSpec)]
+    prefix = metric.get("prefix", "")
+    candidates = {
+        name.removeprefix(_OF_A_VALUE).removeprefix(prefix if isinstance(prefix, str) else "")
+        for provided in (true, *estimated)
+        for name in provided
+        if name.startswith(_OF_A_VALUE)
+    }
+    return sorted(
+        (name for name in candidates if _scores({**metric, "of": [name]}, true, estimated)), key=_by_size
+    )
+
+
+def _scores(metric: Mapping[str, Any], true: frozenset[str], estimated: list[frozenset[str]]) -> bool:
+    try:
+        spec = Of("metric").validate(metric)
+    except ValidationError:
+        return False
+    assert isinstance(spec, MetricSpec)
+    return not not_given(spec.needs_of_truth(), true) and not any(
+        not_given(spec.needs_of_estimate(), provided) for provided in estimated
+    )
+
+
+def _by_size(name: str) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]

@@ -1,0 +1,170 @@
+"""The figure of a metric against a numeric axis."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+
+from hident.arrays import Array
+from hident.config.references import EstimatorName, Metric, NumericAxis
+from hident.config.spec import Flag, NonEmpty, Real, Spec, component
+from hident.engine.experiment import Plan, Statistic
+from hident.engine.results import Results, Series
+from hident.ledger.verdicts import Beside, Verdict, beside
+from hident.reports.base import FigureSpec, Misfit, unscored
+from hident.reports.style import LINES, subplots
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_MOST_TICKS = 7
+_MOST_ENTRIES = 4
+
+
+class Slope(Spec):
+    """A reference line of a given slope on log axes."""
+
+    slope: Real
+    """The slope, e.g. -2/5."""
+    label: str
+    """Its text in the legend."""
+
+
+@component("figure", "curve")
+class Curve(FigureSpec):
+    """A metric against a numeric axis: mean, band of the central 90 % of trials, printed numbers."""
+
+    x: Annotated[str, NumericAxis(positive="log_x")]
+    """The axis along the abscissa; its labels are numbers."""
+    metric: Annotated[str, Metric(scores=("panels",))]
+    """Label of the metric."""
+    statistic: Statistic = "mean"
+    """The statistic drawn as a line."""
+    root: Flag = False
+    """Draw the square root, as for a mean squared error."""
+    band: Flag = True
+    """Shade from the 5 % to the 95 % quantile of the trials."""
+    x_label: str
+    """Label of the abscissa, with its unit."""
+    y_label: str
+    """Label of the ordinate, with its unit."""
+    log_x: Flag = True
+    """Logarithmic abscissa."""
+    log_y: Flag = True
+    """Logarithmic ordinate."""
+    slopes: tuple[Slope, ...] = ()
+    """Reference lines, each starting at half the height of the first curve."""
+    panels: tuple[NonEmpty[EstimatorName], ...] = ()
+    """Names of estimators for each panel, on common axes; one panel with all by default."""
+
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        for name in () if self.panels else plan.experiment.estimators:
+            yield from unscored(plan, ("metric",), name, self.metric)
+
+    def _panels(self, plan: Plan) -> tuple[tuple[str, ...], ...]:
+        return self.panels or (tuple(plan.experiment.estimators),)
+
+    def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
+        panels = self._panels(results.plan)
+        columns = min(2, len(panels))
+        rows = -(-len(panels) // columns)
+        figure, grid = subplots(
+            rows,
+            columns,
+            squeeze=False,
+            sharex=True,
+            sharey=True,
+            figsize=(3.4 * columns + 1.4 * (columns == 1), 2.6 * rows + 0.7 * (rows == 1)),
+        )
+        printed = beside(verdicts)
+        lines = itertools.cycle(LINES)
+        for axes, names in zip(grid.flat, panels, strict=False):
+            curves = self._curves(results, names)
+            for name, curve in curves.items():
+                self._draw_curve(axes, name, curve, next(lines), printed)
+            self._finish(axes, next(iter(curves.values())))
+            entries = axes.get_legend_handles_labels()
+            if len(panels) > 1 or len(entries[1]) <= _MOST_ENTRIES:
+                axes.legend()
+            else:
+                figure.legend(*entries, loc="outside upper center", ncols=3)
+        for axes in grid.flat[len(panels) :]:
+            axes.set_visible(False)
+        for axes in grid[-1, :]:
+            axes.set_xlabel(self.x_label)
+        for axes in grid[:, 0]:
+            axes.set_ylabel(self.y_label)
+        return figure
+
+    def _curves(self, results: Results, names: Sequence[str]) -> dict[str, list[Series]]:
+        """The series of each curve; axes other than x tell curves of one estimator apart."""
+        curves: dict[str, list[Series]] = {}
+        for name in names:
+            for series in results.select(name, self.metric):
+                rest = [f"{axis} = {v}" for axis, v in series.unit.labels.items() if axis != self.x]
+                curves.setdefault(", ".join([name, *rest]), []).append(series)
+        return curves
+
+    def _draw_curve(
+        self,
+        axes: Axes,
+        name: str,
+        curve: Sequence[Series],
+        line: dict[str, Any],
+        printed: Beside,
+    ) -> None:
+        x = np.array([float(series.unit.labels[self.x]) for series in curve])
+
+        def rooted(values: Array) -> Array:
+            return np.sqrt(values) if self.root else values
+
+        def heights(statistic: str) -> Array:
+            return rooted(np.array([series.statistics[statistic] for series in curve]))
+
+        if self.band:
+            low, high = heights("q05"), heights("q95")
+            axes.fill_between(x, low, high, color=line["color"], alpha=0.15, linewidth=0)
+            # The edges tell overlapping bands apart without colour.
+            edge: dict[str, Any] = {"linewidth": 0.6, "alpha": 0.6, "marker": ""}
+            axes.plot(x, low, **{**line, **edge})
+            axes.plot(x, high, **{**line, **edge})
+        axes.plot(x, heights(self.statistic), label=name, **line)
+        theirs = [printed.get((id(series), self.statistic)) for series in curve]
+        if any(theirs):
+            values = np.array([np.nan if v is None else v.printed.value for v in theirs])
+            axes.plot(
+                x,
+                rooted(values),
+                linestyle="none",
+                marker=line["marker"],
+                markersize=8,
+                markerfacecolor="none",
+                markeredgewidth=1.3,
+                color=line["color"],
+                zorder=5,
+                label=f"{name}, printed",
+            )
+
+    def _finish(self, axes: Axes, first: Sequence[Series]) -> None:
+        if self.log_x:
+            axes.set_xscale("log")
+        if self.log_y:
+            axes.set_yscale("log")
+        x = np.array([float(series.unit.labels[self.x]) for series in first])
+        if len(x) <= _MOST_TICKS:
+            axes.set_xticks(x, [f"{label:g}" for label in x], minor=False)
+            axes.set_xticks([], minor=True)
+        start = 0.5 * first[0].statistics[self.statistic] ** (0.5 if self.root else 1.0)
+        for i, reference in enumerate(self.slopes):
+            axes.plot(
+                x,
+                start * (x / x[0]) ** reference.slope,
+                color="0.4",
+                linestyle=[":", "-."][i % 2],
+                linewidth=1.0,
+                label=reference.label,
+            )

@@ -1,0 +1,195 @@
+"""The figure of the searches behind the estimates of one trial."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from hident.arrays import Array
+from hident.config.spec import Count, NonEmpty, component
+from hident.engine.replay import OneTrial
+from hident.engine.results import Results
+from hident.estimators.moving_horizon.searches import PartitionSearch, StructureSearch
+from hident.ledger.verdicts import Verdict
+from hident.reports.one_trial.base import NOTE, OneTrialFigure, Shown, say_failed
+from hident.reports.style import LINES, legend_above, panel_grid
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_WORST = 10.0
+# Fewer pairs than this that were not rejected are shown by numbers, since contours need neighbours.
+_FEWEST = 16
+# Between two contour lines lie these shares of the searched pairs, so that any valley shows.
+_SHARES = (0.03, 0.08, 0.16, 0.28, 0.44, 0.62, 0.8)
+
+
+class SearchPanel(Shown):
+    """The search behind one estimate."""
+
+    show: Literal["structure", "partition"]
+    """The search: over the structure (n, m) or over the partition points."""
+    x_label: str | None = None
+    """Label of the abscissa: n, or the lower partition point."""
+    y_label: str | None = None
+    """Label of the ordinate: the relative output error, or the upper partition point."""
+
+
+@component("figure", "search", source="Chen, Hwang, Chang 2009, figures 3 and 6")
+class Search(OneTrialFigure):
+    """The structure searches and partition searches of one trial, one panel each.
+
+    A structure panel shows the error of every candidate against n, one line for each m (of several delays
+    the best), and an arrow at the chosen one. A partition panel shows contours of the criterion relative to
+    its least value on the grid, and a cross at the best pair after the refinements.
+    """
+
+    panels: NonEmpty[SearchPanel]
+    """The panels; the label of each is its title."""
+    columns: Annotated[Count, Field(ge=1)] = 2
+    """Panels in a row."""
+
+    def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
+        trial = OneTrial(results.plan, self.trial)
+        figure, grid = panel_grid(len(self.panels), self.columns, 3.3, 2.7)
+        for panel, axes in zip(self.panels, grid, strict=True):
+            axes.set_title(panel.text)
+            realised = trial.of(panel.estimator, panel.at)
+            if realised.found is None:
+                axes.set_axis_off()
+                say_failed(axes, f"failed: {realised.failure}")
+            elif panel.show == "structure":
+                draw_structure(axes, realised.detail("structure"))
+                axes.set_xlabel(panel.x_label or "n")
+                axes.set_ylabel(panel.y_label or "output error / std of output")
+            else:
+                draw_partition(axes, realised.detail("partition"))
+                axes.set_xlabel(panel.x_label or "lower partition point")
+                axes.set_ylabel(panel.y_label or "upper partition point")
+        legend_above(figure)
+        return figure
+
+
+def draw_structure(axes: Axes, search: StructureSearch) -> None:
+    """The error against n, one line for each m, and an arrow at the chosen structure."""
+    from matplotlib.ticker import LogLocator, NullLocator
+
+    orders = np.unique(search.n)
+    for i, m in enumerate(np.unique(search.m)):
+        best = [np.min(search.error[(search.n == n) & (search.m == m)], initial=np.inf) for n in orders]
+        errors = np.where(np.isfinite(best), best, np.nan)
+        axes.plot(orders, errors, label=f"m = {m}", **LINES[i % len(LINES)])
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_locator(NullLocator())
+    low, high = axes.get_ylim()
+    # A candidate that is far worse than no model at all would flatten the others.
+    high = max(min(high, _WORST), 2.0 * low)
+    # Room for the words above the curves, which fall with n.
+    axes.set_ylim(low, high * (high / low) ** 0.25)
+    axes.set_xticks(orders)
+    n, m, delay = search.n[search.chosen], search.m[search.chosen], search.delay[search.chosen]
+    several = f", d = {delay:g}" if len(np.unique(search.delay)) > 1 else ""
+    chosen = (float(n), float(search.error[search.chosen]))
+    _point_out(axes, f"chosen: n = {n}, m = {m}{several}", chosen, right=True, top=True)
+
+
+def _point_out(axes: Axes, text: str, at: tuple[float, float], *, right: bool, top: bool) -> None:
+    """Words in a corner of the panel, with an arrow from there to a point."""
+    axes.annotate(
+        text,
+        at,
+        (0.97 if right else 0.03, 0.96 if top else 0.04),
+        textcoords="axes fraction",
+        ha="right" if right else "left",
+        va="top" if top else "bottom",
+        arrowprops={"arrowstyle": "-|>", "color": "black", "linewidth": 0.8, "shrinkB": 4},
+        bbox=NOTE,
+        zorder=6,
+    )
+
+
+def draw_partition(axes: Axes, search: PartitionSearch) -> None:
+    """The criterion over the pairs of partition points, by contours or numbers, and a cross at the best."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.ma.masked_invalid(search.loss.T / np.nanmin(search.loss))
+    if ratio.count() < _FEWEST:
+        _draw_numbers(axes, search, ratio)
+    else:
+        _draw_contours(axes, search, ratio)
+    rejected = np.argwhere(~np.isfinite(search.loss))
+    if len(rejected):
+        axes.plot(
+            search.lower[rejected[:, 0]],
+            search.upper[rejected[:, 1]],
+            color="0.45",
+            linestyle="none",
+            marker="x",
+            markersize=3,
+            label="rejected",
+        )
+    lower, upper = search.best
+    label = "best (numbers: criterion / least)"
+    look: dict[str, Any] = {
+        "color": "black",
+        "marker": "+",
+        "markersize": 11,
+        "markeredgewidth": 1.8,
+        "zorder": 6,
+    }
+    axes.plot(lower, upper, linestyle="none", label=label, **look)
+    # In the corner that is farthest from the best pair.
+    right, top = (
+        p < 0.5 * sum(shown) for p, shown in zip(search.best, (axes.get_xlim(), axes.get_ylim()), strict=True)
+    )
+    _point_out(axes, f"({lower:.3g}, {upper:.3g})", search.best, right=right, top=top)
+    axes.grid(visible=False)
+
+
+def _draw_contours(axes: Axes, search: PartitionSearch, ratio: np.ma.MaskedArray[Any, Any]) -> None:
+    import matplotlib as mpl
+
+    levels = contour_levels(ratio.compressed())
+    if len(levels) > 1 and min(ratio.shape) > 1:
+        # Light enough for the lines and numbers to be read, darker uphill.
+        colours = mpl.colormaps["Blues"](np.linspace(0.0, 0.6, len(levels)))
+        axes.contourf(search.lower, search.upper, ratio, levels, colors=colours, extend="max")
+        lines = axes.contour(
+            search.lower, search.upper, ratio, levels[1:], colors="black", linewidths=0.5, linestyles="-"
+        )
+        axes.clabel(lines, fmt="%g", fontsize=6.5, inline_spacing=2)
+
+
+def _draw_numbers(axes: Axes, search: PartitionSearch, ratio: np.ma.MaskedArray[Any, Any]) -> None:
+    """The criterion at each pair that was not rejected, in a window around them and the best pair."""
+    for j, i in np.argwhere(~np.ma.getmaskarray(ratio)):
+        at = (search.lower[i], search.upper[j])
+        axes.text(*at, f"{ratio[j, i]:.3g}", fontsize=7, ha="center", va="center", bbox=NOTE)
+    kept = np.isfinite(search.loss)
+    axes.set_xlim(*_window(search.lower, np.any(kept, axis=1), search.best[0]))
+    axes.set_ylim(*_window(search.upper, np.any(kept, axis=0), search.best[1]))
+
+
+def _window(points: Array, kept: NDArray[np.bool_], best: float) -> tuple[float, float]:
+    """The range of the kept points (K,) of a grid and of the best one, to one point beyond on either side."""
+    shown, points = np.append(points[kept], best), np.sort(points)
+    first = max(int(np.searchsorted(points, shown.min())) - 1, 0)
+    last = min(int(np.searchsorted(points, shown.max(), side="right")), len(points) - 1)
+    margin = 0.08 * (points[last] - points[first])
+    return float(points[first] - margin), float(points[last] + margin)
+
+
+def contour_levels(ratio: Array) -> Array:
+    """Increasing levels from 1 on for contours of values (K,) with minimum 1.
+
+    They are quantiles of the values, rounded to two digits of their excess over 1.
+    """
+    excess = np.quantile(ratio, _SHARES) - 1.0
+    rounded = [float(f"{value:.1e}") for value in excess if np.isfinite(value) and value > 0.0]
+    return np.unique([1.0, *(1.0 + value for value in rounded)])
