@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from hident import plugins
+from hident.config.load import Document
 from hident.config.suggest import one_of
 from hident.engine.experiment import Plan, load
 from hident.errors import ConfigError
@@ -20,7 +21,7 @@ def all_configs() -> list[Path]:
 
 
 def load_plans(
-    configs: Iterable[Path],
+    configs: Iterable[Path | Document],
     assignments: Sequence[str] | None,
     options: Mapping[str, int | None],
     plugin_files: Iterable[Path],
@@ -34,7 +35,8 @@ def load_plans(
     errors: list[str] = []
     for config in configs:
         try:
-            plan = load(_file_of(config), assignments or (), options)
+            source = config if isinstance(config, Document) else file_of(config)
+            plan = load(source, assignments or (), options)
             check_published(plan)
             check(plan)
             plans.append(plan)
@@ -50,7 +52,7 @@ def load_plans(
     return plans
 
 
-def _file_of(config: Path) -> Path:
+def file_of(config: Path) -> Path:
     """The file that is meant: itself, or the one of this name under configs/ or here."""
     if config.suffix or config.exists():
         return config

@@ -267,7 +267,9 @@ class Plan:
 
 
 def load(
-    path: Path, assignments: Sequence[str] = (), options: Mapping[str, int | None] = MappingProxyType({})
+    source: Path | Document,
+    assignments: Sequence[str] = (),
+    options: Mapping[str, int | None] = MappingProxyType({}),
 ) -> Plan:
     """Read a configuration, apply ``--set`` assignments and options such as trials, expand its cases.
 
@@ -276,7 +278,8 @@ def load(
     ConfigError
         With all that is wrong with the file, one line for each problem.
     """
-    document = override(read_leniently(path), assignments)
+    document = source if isinstance(source, Document) else read_leniently(source)
+    path, document = Path(document.name), override(document, assignments)
     for key, value in options.items():
         if value is not None:
             document = document.patched(key, value, Place(0, f"--{key} {value}"))

@@ -45,6 +45,11 @@ def fingerprint(specs: Iterable[Spec]) -> str:
     return _of_modules(frozenset(modules), shown=False)
 
 
+def without_source(specs: Iterable[Spec]) -> Iterator[Spec]:
+    """Those of the specs, and of all inside them, whose class has no file: a hash cannot know its code."""
+    return (inner for spec in specs for inner in _within(spec) if _path(type(inner).__module__) is None)
+
+
 def code(modules: Iterable[str]) -> str:
     """Hash of the code of loaded modules and of what they import of this package or their own."""
     return _of_modules(frozenset(modules), shown=True)

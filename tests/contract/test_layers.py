@@ -13,7 +13,7 @@ ROOT = Path(hident.__file__).parent
 # by side and do not know each other.
 LAYERS = (
     ("__main__",),
-    ("cli",),
+    ("cli", "api"),
     ("commands",),
     ("doctor",),
     ("progress",),
@@ -24,7 +24,7 @@ LAYERS = (
     ("engine",),
     ("estimators", "metrics"),
     ("signals",),
-    ("systems",),
+    ("systems", "measured"),
     ("records", "plugins"),
     ("linear_blocks",),
     ("numerics",),
