@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array, Characteristic
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 from hident.numerics.choices import sorting
 from hident.numerics.parts import Parts, whole
-
-if TYPE_CHECKING:
-    from hident.systems.continuous import ContinuousTransferFunction
-    from hident.systems.linear import TransferFunction
-
-Array = NDArray[np.float64]
 
 # Times written with a few digits are uneven by their rounding.
 _UNEVEN = 1e-3
 
-Characteristic = Callable[[Array], Array]
+T = TypeVar("T")
 Response = Callable[[Array, float], Array]
 """The noise-free output (N,) to an input (N,), given the sampling interval."""
 
@@ -97,13 +93,29 @@ class Truth:
     values: Mapping[str, float] = field(default_factory=dict)
     breakpoints: tuple[float, ...] = ()
 
+    def provides(self) -> frozenset[str]:
+        """The parts that it holds: ``nonlinearity``, ``linear``, ``response``, ``value NAME``..."""
+        names = ("nonlinearity", "linear", "continuous", "response")
+        return _provided(self, names) | ({"blocks"} if self.blocks else set())
+
+
+def _provided(parts: Truth | Estimate, names: Iterable[str]) -> frozenset[str]:
+    known = {name for name in names if getattr(parts, name) is not None}
+    return frozenset(known | {f"value {name}" for name in parts.values})
+
+
+def needed(part: T | None) -> T:
+    """A part of a truth or an estimate that is there, as was seen before the run."""
+    assert part is not None
+    return part
+
 
 @dataclass(frozen=True, eq=False)
 class Record:
     """Input and output, float64 of shape (N,), at sampling interval ``dt`` (None: discrete time).
 
-    ``parts`` are the experiments by name, one after the other, where several were made or where it matters
-    what the input is between its samples.
+    ``parts`` are the experiments by name, one after the other, where several were made, where one has a
+    sampling interval of its own, or where it matters what the input is between its samples.
     """
 
     u: Array
@@ -113,6 +125,8 @@ class Record:
     parts: Mapping[str, Part] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for name in ("u", "y"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
         if self.u.shape != self.y.shape or self.u.ndim != 1:
             raise ValueError(
                 "u and y must be one-dimensional and of one length, "
@@ -172,5 +186,8 @@ class Estimate:
     continuous: ContinuousTransferFunction | None = None
     response: Response | None = None
     values: Mapping[str, float] = field(default_factory=dict)
-    diagnostics: Mapping[str, float] = field(default_factory=dict)
     details: Mapping[str, Any] = field(default_factory=dict)
+
+    def provides(self) -> frozenset[str]:
+        """The parts that it holds, spelled as in :meth:`Truth.provides`."""
+        return _provided(self, ("nonlinearity", "linear", "continuous", "response"))

@@ -18,14 +18,20 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 # It decides which kernels numpy and BLAS use, so it comes before them.
 import hident  # noqa: F401
 from tests.forked import GUARD_SECONDS, Forked, run_forked
 
 # The same examples everywhere, however slow the machine.
-settings.register_profile("suite", deadline=None, derandomize=True, database=None)
+settings.register_profile(
+    "suite",
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
 settings.load_profile("suite")
 
 TINY: dict[str, Any] = {

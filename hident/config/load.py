@@ -62,14 +62,14 @@ class Document:
 
     def complaints_of(self, problems: Iterable[Problem]) -> list[Complaint]:
         """The problems in words, each with its place and key path."""
-        return [
-            Complaint(
-                place.line,
-                f"{place.text}: {spelled(problem.location) or 'file'}: {problem.message}{_got(problem)}",
-            )
-            for problem in problems
-            for place in (self.place(problem.location),)
-        ]
+        found = []
+        for problem in problems:
+            place = self.place(problem.location)
+            # What was written in Python is no file.
+            at = spelled(problem.location) or ("file" if self.places else "")
+            said = f"{problem.message}{_got(problem)}"
+            found.append(Complaint(place.line, ": ".join(filter(None, (place.text, at, said)))))
+        return found
 
     def error(self, problems: Iterable[Problem]) -> ConfigError:
         """One error that lists all problems; see :func:`error_of`."""
@@ -97,22 +97,22 @@ def _got(problem: Problem) -> str:
     return f" (got {text if len(text) <= 80 else text[:77] + '...'})"
 
 
-def read(path: Path) -> Document:
-    """Read a YAML file.
+def read(path: Path, content: bytes | None = None) -> Document:
+    """Read a YAML file, or its content if that is known.
 
     Raises
     ------
     ConfigError
         If the file cannot be read or is no strict YAML mapping; the message names the line.
     """
-    document = read_leniently(path)
+    document = read_leniently(path, content)
     if document.complaints:
         raise error_of(document.complaints)
     return document
 
 
-def read_leniently(path: Path) -> Document:
-    """Read a YAML file; what is no more than unclear goes to the document's complaints.
+def read_leniently(path: Path, content: bytes | None = None) -> Document:
+    """Read a YAML file, or its content; what is no more than unclear goes to the document's complaints.
 
     Raises
     ------
@@ -120,8 +120,9 @@ def read_leniently(path: Path) -> Document:
         If the file cannot be read or is no YAML mapping at all.
     """
     try:
-        with path.open("rb") as file:
-            content = file.read(LARGEST + 1)
+        if content is None:
+            with path.open("rb") as file:
+                content = file.read(LARGEST + 1)
         if len(content) > LARGEST:
             raise ConfigError(
                 f"{path}: cannot be read: it is larger than {LARGEST // 1024} kB, "

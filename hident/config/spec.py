@@ -10,13 +10,14 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Mapping, Sized
-from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
 from pydantic import (
     AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     Strict,
@@ -27,6 +28,7 @@ from pydantic import (
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from hident.config.expression import number
+from hident.config.load import Document, problems_of
 from hident.config.meanings import meanings
 from hident.config.suggest import did_you_mean, one_of
 
@@ -101,10 +103,41 @@ def _increasing(interval: tuple[float, float]) -> tuple[float, float]:
 
 
 Interval = Annotated[tuple[Real, Real], AfterValidator(_increasing)]
+T = TypeVar("T")
+NonEmpty = Annotated[tuple[T, ...], Field(min_length=1)]
 
 
-class Spec(BaseModel):
-    """A frozen part of a configuration; unknown keys are refused with the nearest valid name."""
+def plain(value: Any) -> Any:
+    """What Python or numpy hands over, as a file would hold it: arrays are lists, numpy's numbers numbers."""
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass as _Meta
+else:
+
+    class _Meta(type(BaseModel)):
+        """Lets a spec that is made in Python complain in the words that a file would get."""
+
+        def __call__(cls, **fields):
+            try:
+                return super().__call__(**plain(fields))
+            except ValidationError as error:
+                raise Document(cls.__name__, fields).error(problems_of(error)) from None
+
+
+class Spec(BaseModel, metaclass=_Meta):
+    """A frozen part of a configuration; unknown keys are refused with the nearest valid name.
+
+    Raises
+    ------
+    ConfigError
+        If it is made in Python with fields that a configuration could not hold.
+    """
 
     # Schemas are built at first use: a command needs few of them.
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
@@ -283,6 +316,10 @@ class Of:
         known = components(self.family)
         if isinstance(value, Component) and value.family == self.family:
             return value
+        if isinstance(value, Component):
+            raise self._error(
+                f"must be a {self.family}, not the {value.family} '{value.kind}'", (), value.kind
+            )
         bare = isinstance(value, str)
         if bare:
             value = {"kind": value}

@@ -7,9 +7,9 @@ not multiply that estimator, so that no unit stands twice.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
@@ -26,10 +26,11 @@ from pydantic_core import CoreSchema
 
 from hident import plugins
 from hident.config.load import Document, Problem, override, problems_of, read_leniently
+from hident.config.references import CaseLabels, EstimatorName, Metric, Template, referring
 from hident.config.repeated import repeated
 from hident.config.spec import Component, Count, Of, Spec
 from hident.config.suggest import did_you_mean, one_of
-from hident.config.yaml12 import Complaint, Location, Place, error_of
+from hident.config.yaml12 import Complaint, Place, error_of
 from hident.engine.cases import CHANGEABLE, DATA, Axis, Cases, Label, idle_assignments, skips, sound_axes
 from hident.engine.every_value import with_every_value
 from hident.engine.expansion import Expansion, Unit
@@ -45,24 +46,28 @@ FORMAT = 1
 Statistic = Literal["mean", "median", "std"]
 
 
+# Whether it scores the estimator at the labels is checked with the printed numbers.
+_Metric = Annotated[str, Metric(scores=())]
+
+
 class PublishedCells(Spec):
     """Which of our cells stand beside which printed numbers."""
 
     table: str
     """The ``table`` column of published.csv."""
-    row: str
+    row: Annotated[str, Template()]
     """The ``row`` column; {axis} stands for a case's label, e.g. 'N={samples}'."""
-    quantity: str | None = None
+    quantity: Annotated[str, Template()] | None = None
     """The ``quantity`` column; {axis} likewise."""
-    estimator: str
+    estimator: EstimatorName
     """Name of the estimator in this file."""
-    metric: str | None = None
+    metric: _Metric | None = None
     """Label of the metric."""
-    quantities: dict[str, str] = {}
+    quantities: Annotated[dict[str, _Metric], Template()] = {}
     """Several quantities of the row at once, each with its metric: {a1: theta a_1, b0: theta b_0}."""
     statistic: Statistic = "mean"
     """The statistic over trials that stands beside the printed number."""
-    at: dict[str, Any] = {}
+    at: CaseLabels = {}
     """Labels of axes that limit the correspondence; all by default."""
 
     @model_validator(mode="after")
@@ -167,13 +172,56 @@ class Experiment(Data, Cases):
 
 @dataclass(frozen=True)
 class Plan:
-    """An experiment with its file, its axes and its units."""
+    """An experiment with its file, its axes and its units; nothing about it changes once it is known.
+
+    With a ``perturbation`` k > 0, the records are those of :func:`hident.engine.trial.generate` a last bit
+    away, and the scores are stored under keys of their own.
+    """
 
     path: Path
     document: Document
     experiment: Experiment
     axes: tuple[Axis, ...]
     units: tuple[Unit, ...]
+    perturbation: int = 0
+    _paper_files: dict[str, bytes | None] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def seed(self) -> int:
+        """The seed of all random streams."""
+        return self.experiment.seed
+
+    @property
+    def trials(self) -> int:
+        """The number of trials of every unit."""
+        return self.experiment.trials
+
+    @cached_property
+    def keys(self) -> tuple[dict[str, str], ...]:
+        """For each unit, the keys of its stored trials by the names of its metrics (:meth:`Unit.keys`)."""
+        return tuple(unit.keys(self.seed, self.perturbation) for unit in self.units)
+
+    def changed(
+        self, *, trials: int | None = None, seed: int | None = None, perturbation: int | None = None
+    ) -> Plan:
+        """The plan with another number of trials, another seed or another perturbation.
+
+        Raises
+        ------
+        ConfigError
+            If there is no trial, or the seed or the perturbation is negative.
+        """
+        given = {"trials": trials, "seed": seed}
+        experiment = self.experiment.model_copy(
+            update={name: value for name, value in given.items() if value is not None}
+        )
+        perturbation = self.perturbation if perturbation is None else perturbation
+        if experiment.trials < 1 or min(experiment.seed, perturbation) < 0:
+            raise ConfigError(
+                "trials must be at least 1, seed and perturbation at least 0, not "
+                f"{experiment.trials}, {experiment.seed} and {perturbation}"
+            )
+        return replace(self, experiment=experiment, perturbation=perturbation)
 
     @property
     def name(self) -> str:
@@ -198,6 +246,24 @@ class Plan:
         """The folder with the paper's printed numbers."""
         paper = self.experiment.paper
         return None if paper is None else self.root / "experiments" / paper
+
+    def paper_file(self, name: str) -> bytes | None:
+        """A file of the paper's folder as it was when it was first asked for; None if there was none.
+
+        Raises
+        ------
+        ConfigError
+            If the file cannot be read.
+        """
+        if self.paper is not None and name not in self._paper_files:
+            path = self.paper / name
+            try:
+                self._paper_files[name] = path.read_bytes()
+            except FileNotFoundError:
+                self._paper_files[name] = None
+            except OSError as error:
+                raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from None
+        return self._paper_files.get(name)
 
 
 def load(
@@ -297,49 +363,19 @@ def _missing_paper(plan: Plan) -> Iterator[Problem]:
 
 def _unknown_names(experiment: Experiment, axes: Sequence[Axis]) -> Iterator[Problem]:
     """Names that refer to nothing in the file."""
-
-    def unknown(location: Location, what: str, name: str, known: Iterable[str]) -> Iterator[Problem]:
-        known = list(known)
-        if name not in known:
-            yield Problem(
-                location,
-                f"there is no {what} '{name}'{did_you_mean(name, known)} "
-                f"({f'there are: {one_of(known)}' if known else 'there is none'})",
-            )
-
-    labels: list[str] = []
-    for name, metric in experiment.metrics.items():
-        labels += metric.labels(name)
-        for i, estimator in enumerate(metric.estimators or ()):
-            yield from unknown(
-                ("metrics", name, "estimators", i), "estimator", estimator, experiment.estimators
-            )
-    known = {
+    known: dict[str, list[str]] = {
         "estimator": list(experiment.estimators),
-        "metric": labels,
+        "metric": [label for name, spec in experiment.metrics.items() for label in spec.labels(name)],
         "axis": [axis.name for axis in axes],
         "table": list(experiment.tables),
         **{f"label of {axis.name}": list(map(str, axis.labels)) for axis in axes},
     }
-    for family in ("tables", "figures"):
-        for name, spec in getattr(experiment, family).items():
-            for field, what, referred in spec.references():
-                # A field is named, or is the path of a key inside it, such as ("columns", 0, "estimator").
-                at = field if isinstance(field, tuple) else (field,)
-                yield from unknown((family, name, *at), what, referred, known.get(what, [referred]))
-    for i, cell in enumerate(experiment.published.cells if experiment.published else ()):
-        at = ("published", "cells", i)
-        yield from unknown((*at, "estimator"), "estimator", cell.estimator, known["estimator"])
-        for quantity, label in cell.pairs():
-            where = ("quantities", quantity) if cell.quantities else ("metric",)
-            yield from unknown((*at, *where), "metric", label, known["metric"])
-        for axis, chosen in cell.at.items():
-            yield from unknown((*at, "at"), "axis", axis, known["axis"])
-            yield from unknown(
-                (*at, "at", axis), "label", str(chosen), known.get(f"label of {axis}", [str(chosen)])
+    for place, what, name in (one for value in referring(experiment) for one in value.names()):
+        # Of an axis that there is not, no label is missing.
+        there = known.get(what, [name])
+        if name not in there:
+            yield Problem(
+                place,
+                f"there is no {what} '{name}'{did_you_mean(name, there)} "
+                f"({f'there are: {one_of(there)}' if there else 'there is none'})",
             )
-        quantity_field = "quantities" if cell.quantities else "quantity"
-        texts = [("row", cell.row), *((quantity_field, quantity) for quantity, _ in cell.pairs())]
-        for field, text in texts:
-            for axis in re.findall(r"{([^{}]*)}", text):
-                yield from unknown((*at, field), "axis", axis, known["axis"])

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.engine.experiment import Label, Plan, Statistic, Unit
 from hident.numerics.rounding import is_constant
-from hident.records import Array
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -87,7 +87,7 @@ def statistics(values: Array) -> dict[str, float]:
         "std": std,
         "se": std / len(valid) ** 0.5,
         "median": float(np.median(valid)),
-        **{name: float(np.quantile(valid, q)) for name, q in QUANTILES.items()},
+        **dict(zip(QUANTILES, np.quantile(valid, [*QUANTILES.values()]).tolist(), strict=True)),
     }
 
 
@@ -127,8 +127,6 @@ class Results:
     """All trials of a plan: complete, or it would not exist."""
 
     plan: Plan
-    seed: int
-    trials: int
     series: tuple[Series, ...]
 
     def select(

@@ -9,16 +9,17 @@ import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
+from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, Spec, canonical
 from hident.errors import TrialFailed
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
-from hident.records import Array, Estimate, Part, Record
+from hident.records import Estimate, Part, Record
 from hident.signals.base import ExcitationSpec, NoiseSpec, Stretch
 from hident.signals.streams import NumpyStreams, StreamsSpec
 from hident.systems.base import SystemSpec
@@ -125,8 +126,10 @@ def generate(data: Data, seed: int, trial: int, perturbation: int = 0) -> Record
     values of u stay equal, so that a held input keeps its levels. The truth stays.
     """
     inputs = data.streams.generator("input", seed, data.key, trial)
-    stretches = data.excitation.stretches(data.samples, _interval(data))
-    if len(stretches) > 1 or data.system.follows_waveforms():
+    interval = _interval(data)
+    stretches = data.excitation.stretches(data.samples, interval)
+    one_grid = len(stretches) == 1 and stretches[0].dt == interval
+    if not one_grid or data.system.follows_waveforms():
         u, y, parts = _experiments(data.system, stretches, inputs)
     else:
         u, y, parts = *_sampled(data.system, stretches[0], inputs), {}
@@ -188,11 +191,9 @@ def estimate(data: Data, job: Job, record: Record, seed: int, trial: int) -> Est
         If the estimator does not take the record's experiments; and what its ``fit`` raises.
     """
     job.estimator.require_experiments(record)
-    if job.estimator.draws():
-        rng = data.streams.generator("estimator", seed, job.key, trial)
-    else:
-        # An estimator that draws all the same must crash, not draw from a stream that is not its own.
-        rng = cast(np.random.Generator, None)
+    # An estimator that draws, and does not say so, must crash, not draw from a stream that is not its own.
+    draws = job.estimator.draws()
+    rng = data.streams.generator("estimator", seed, job.key, trial) if draws else None
     return job.estimator.fit(record, rng)
 
 

@@ -7,10 +7,11 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.config.spec import Component
 from hident.errors import EstimationError
 from hident.estimators.normalisation import Normalisation
-from hident.records import Array, Estimate, Record
+from hident.records import Estimate, Record
 
 Experiments = Literal["one", "at_one_interval", "any"]
 """The records of several experiments that an estimator takes: none, those with one sampling interval, all."""
@@ -103,8 +104,21 @@ class EstimatorSpec(Component):
     def check_record(self, record: Record) -> None:
         """Raise EstimationError if a record like this one, that of trial 0, is hopeless."""
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
-        """Estimate from a record; ``rng`` is the estimator's own stream."""
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
+        """Estimate from a record.
+
+        Parameters
+        ----------
+        record : Record
+            Input and output, both of shape (N,).
+        rng : numpy.random.Generator, optional
+            The estimator's own stream; only one that :meth:`draws` needs it.
+
+        Raises
+        ------
+        EstimationError
+            If the estimate is singular or diverges, or the record does not suit the method.
+        """
         raise NotImplementedError
 
 

@@ -1,13 +1,25 @@
-"""What becomes of an iteration that ends without converging: one rule for all iterative estimators."""
+"""What an iteration leaves behind, and what becomes of one that ends without converging: one rule for all."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Literal
 
+from hident.arrays import Array
 from hident.errors import EstimationError
 
 Unconverged = Literal["fail", "keep"]
 """Whether such an estimate counts as failed, or the last iterate is kept."""
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """Parameters by name, each of shape (K,) with a value for each iterate; ``details["history"]``."""
+
+    values: Mapping[str, Array]
+    converged: bool
+    reason: str
 
 
 def settle(converged: bool, iterations: int, unconverged: Unconverged) -> None:

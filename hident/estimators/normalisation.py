@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hident.records import Array, Characteristic, Truth
-from hident.systems.continuous import ContinuousTransferFunction
-from hident.systems.linear import TransferFunction
+from hident.arrays import Array, Characteristic
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
+from hident.records import Truth
 
 CLOSE = 1e-4
 """A factor this close to one counts as one: a coefficient that is written with four digits."""

@@ -23,18 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
-from hident.estimators.bilinear_models.bilinear import lengths
-from hident.estimators.convergence import Unconverged, settle
-from hident.estimators.moving_horizon.searches import History
-from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
+from hident.estimators.convergence import History, Unconverged, settle
 from hident.estimators.normalisation import Normalisation, first_coefficient
+from hident.linear_blocks import TransferFunction
+from hident.numerics.least_squares import Factorisation
 from hident.numerics.parts import Parts, in_each, joined, longer_than, whole
 from hident.numerics.whole import nearest_whole
-from hident.records import Array, Characteristic, Estimate, Record, Response
-from hident.systems.linear import TransferFunction
+from hident.records import Estimate, Record, Response
 
 _DIVERGED = 1e6
 """Growth of the internal variable, relative to the first iteration's, that counts as divergence."""
@@ -118,15 +117,13 @@ def solve(columns: Array, y: Array) -> Array:
     EstimationError
         If the columns are linearly dependent.
     """
-    length = lengths(columns)
-    theta, _, _, singular_values = np.linalg.lstsq(columns / length, y, rcond=None)
-    rows, count = columns.shape
-    if rows < count or singular_values[-1] * ILL_CONDITIONED <= singular_values[0]:
+    regression, (rows, count) = Factorisation.of(columns), columns.shape
+    if regression.is_dependent:
         raise EstimationError(
             f"the {count} regressors are linearly dependent over {rows} samples: the input needs several "
             "levels of either sign, or the record is too short, or a degree or an order too high"
         )
-    return np.asarray(theta / length)
+    return regression.solution(y)
 
 
 def iterate(update: Callable[[Array], tuple[Array, Array]], theta: Array, x: Array, rule: Rule) -> Iterations:
@@ -245,7 +242,7 @@ class VorosSpec(EstimatorSpec):
             )
         return ratio
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         require_finite(record.y)
         require_varying(record.y, "output")
         self.require_experiments(record)

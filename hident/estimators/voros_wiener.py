@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hident.arrays import Array, Characteristic
 from hident.config.spec import component
 from hident.estimators.normalisation import Normalisation, unit_slope
 from hident.estimators.voros_hammerstein import (
@@ -17,9 +18,8 @@ from hident.estimators.voros_hammerstein import (
     segments,
     solve,
 )
+from hident.linear_blocks import TransferFunction
 from hident.numerics.parts import Parts, in_each, whole
-from hident.records import Array, Characteristic
-from hident.systems.linear import TransferFunction
 
 
 def voros_wiener(

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from hident.records import Array
+from hident.arrays import Array
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _WHOLE = re.compile(r"[+-]?\d+", re.ASCII)

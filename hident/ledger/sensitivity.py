@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hident.engine.run_files import SENSITIVITY as SENSITIVITY  # noqa: PLC0414
 from hident.ledger.trial_values import Key, TrialValues, difference
 
 RTOL = 1e-6
@@ -36,12 +35,30 @@ class Count:
         """How many of so many trials may move on another arithmetic: more has at most this chance.
 
         The predictive distribution is beta-binomial: the share that moves is unknown, has Jeffreys' prior
-        Beta(1/2, 1/2), and ``moved`` of ``perturbed`` estimates have been seen.
+        Beta(1/2, 1/2), and ``moved`` of ``perturbed`` estimates have been seen. Where none has moved, not
+        all may.
         """
         from scipy.stats import betabinom
 
+        if not self.perturbed:
+            return 0
         shape = self.moved + 0.5, self.perturbed - self.moved + 0.5
-        return int(betabinom.isf(chance, trials, *shape))
+        most = int(betabinom.isf(chance, trials, *shape))
+        return most if self.moved else min(most, trials - 1)
+
+    def described(self, most: int) -> str:
+        """The share in words, and what it makes likely."""
+        if not self.perturbed:
+            return "no share is stored: hident accept measures it"
+        return f"the stored share, {self.moved} of {self.perturbed}, makes up to {most} likely"
+
+    @classmethod
+    def together(cls, counts: Iterable[Count]) -> Count:
+        """The counts of several units as one."""
+        every = [*counts]
+        return cls(
+            *(sum(getattr(count, name) for count in every) for name in ("trials", "perturbed", "moved"))
+        )
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hident.arrays import Array
 from hident.engine.results import STATISTICS, statistics
 from hident.ledger.contents import Row
 from hident.ledger.sensitivity import Count, Sensitivity
 from hident.ledger.trial_values import Difference, Key, TrialValues, difference, scale_of
 from hident.numerics.choices import ROUNDING
-from hident.records import Array
 
 _SHOWN = ("failed", "mean", "std", "median")
 _MOST_SERIES, _MOST_TRIALS = 6, 8
@@ -62,27 +63,41 @@ class TrialComparison:
             yield f"{self.ours.described_series(key)}: its trials are extra"
 
     def moved(self, chance: float) -> Iterator[Moved]:
-        """Each unit with trials that differ; more than likely by this chance is more than allowed."""
-        for unit, series in self.units.items():
-            which = np.any([d.moved for d in series.values()], axis=0)
+        """Each unit with trials that differ; more than likely by this chance is more than allowed.
+
+        All units together may not differ more often than is likely either, and no unit of which no perturbed
+        estimate moved may do so in every trial: of few trials the share is hardly known.
+        """
+        marks = {unit: np.any([d.moved for d in of.values()], axis=0) for unit, of in self.units.items()}
+        together = self._together(marks, chance)
+        for unit, which in marks.items():
             if not which.any():
                 continue
-            allowed = True
+            series, allowed = self.units[unit], not together
             text = f"{self.reference.described(unit)}: {which.sum()} of {len(which)} trials "
             if self.sensitivity is None:
                 text += f"differ ({_listed(which)}), though the arithmetic is the same"
                 allowed = False
             else:
                 count = self.sensitivity.counts.get(unit, Count(0, 0, 0))
-                most = count.likely(len(which), chance) if count.perturbed else 0
-                allowed = int(which.sum()) <= most
-                share = f"the stored share, {count.moved} of {count.perturbed}, makes up to {most} likely"
-                if not count.perturbed:
-                    share = "no share is stored: hident accept measures it"
-                text += f"took another branch ({_listed(which)}); {share}"
+                most = count.likely(len(which), chance)
+                allowed = allowed and int(which.sum()) <= most
+                text += f"took another branch ({_listed(which)}); {count.described(most)}{together}"
             if not which.all():
                 text += f"; all others {_equal(max(d.largest for d in series.values()))}"
             yield Moved("\n    ".join([text, *self._cells(series)]), allowed)
+
+    def _together(self, marks: Mapping[Key, NDArray[np.bool_]], chance: float) -> str:
+        """Why so many estimates of all units may not differ; empty if they may."""
+        if self.sensitivity is None:
+            return ""
+        estimates, moved = sum(map(len, marks.values())), int(sum(map(np.sum, marks.values())))
+        count = Count.together(
+            self.sensitivity.counts[unit] for unit in marks if unit in self.sensitivity.counts
+        )
+        if moved <= (most := count.likely(estimates, chance)):
+            return ""
+        return f"; in all units {moved} of {estimates} did, and {count.described(most)}"
 
     def _cells(self, series: Mapping[Key, Difference]) -> Iterator[str]:
         """The rows of table.csv that moved, with the old and the new values."""

@@ -22,8 +22,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array
 from hident.engine.results import Results
-from hident.records import Array
 
 _NAMES = ("estimator", "metric")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from hident.config.references import EstimatorName
 from hident.config.spec import Component
 from hident.records import Estimate, Record
 from hident.signals.base import ExcitationSpec, Stretch
@@ -34,7 +35,7 @@ class Scored:
 class MetricSpec(Component):
     """Base of all metrics."""
 
-    estimators: tuple[str, ...] | None = None
+    estimators: tuple[EstimatorName, ...] | None = None
     """Names of the estimators that it scores; all of them by default."""
 
     def labels(self, name: str) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 from hident.config.spec import Flag, Real, component
 from hident.metrics.base import MetricSpec, Scored
 from hident.numerics.parts import in_each, longer_than
-from hident.records import Estimate, Record
+from hident.records import Estimate, Record, needed
 
 # A coefficient that is written with four digits.
 _CLOSE = 1e-4
@@ -49,13 +49,12 @@ class DisturbanceVariance(MetricSpec):
         _check_first_coefficient(scored)
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        assert record.truth is not None
-        assert record.truth.nonlinearity is not None
-        y, w, parts = record.y, record.truth.nonlinearity(record.u), record.experiments
+        nonlinearity = needed(needed(record.truth).nonlinearity)
+        y, w, parts = record.y, nonlinearity(record.u), record.experiments
         if not self.filtered:
             return (float(np.var(y - w, ddof=1)),)
-        assert estimate.linear is not None
-        inverse, lost = estimate.linear.inverse(), len(estimate.linear.a)
+        linear = needed(estimate.linear)
+        inverse, lost = linear.inverse(), len(linear.a)
         delta = in_each(longer_than(parts, lost), lambda y, w: (inverse.filter(y) - w)[lost:], y, w)
         return (float(np.var(delta, ddof=1)),)
 
@@ -80,9 +79,7 @@ class DisturbanceVarianceFormula(MetricSpec):
         _check_first_coefficient(scored)
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        assert record.truth is not None
-        linear = record.truth.linear
-        assert linear is not None
+        linear = needed(needed(record.truth).linear)
         if self.filtered:  # Eq. (21)
             return (self.noise_variance * float(np.sum(linear.denominator**2)),)
         gamma = linear.impulse_response(linear.memory())[1:]

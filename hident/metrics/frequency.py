@@ -10,7 +10,6 @@ Gains are relative to the static ones, and phases are continuous from zero at w 
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -20,13 +19,14 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from hident.config.spec import Count, Flag, component
+from hident.arrays import Array, Complex
+from hident.config.spec import Count, Flag, NonEmpty, component
 from hident.config.suggest import did_you_mean, one_of
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.metrics.base import MetricSpec, Scored
-from hident.records import Array, Estimate, Periodic, Record, Truth
+from hident.records import Estimate, Periodic, Record, Truth, needed
 from hident.signals.base import Stretch
 from hident.signals.excitation import Multisine, Sine
-from hident.systems.continuous import Complex, ContinuousTransferFunction
 from hident.systems.continuous_wiener_hammerstein import ACCURACY, respond
 
 _NAME = re.compile(r"(gain_i|phase_i|series_gain)_(\d+)|(gain_o|phase_o|phase_sum)_(\d+)_(\d+)")
@@ -60,12 +60,6 @@ def _check_static_gains(scored: Scored) -> None:
             )
 
 
-def estimated_frequencies(estimate: Estimate) -> Array:
-    """The angular frequencies w_1, w_2, ... (n,) that the names of an estimate's gains and phases number."""
-    numbers = itertools.takewhile(lambda m: f"omega_{m}" in estimate.values, itertools.count(1))
-    return np.array([estimate.values[f"omega_{m}"] for m in numbers])
-
-
 def gain(block: ContinuousTransferFunction, omega: Array) -> Array:
     """|G(jw) / G(0)|, of the shape of ``omega``."""
     return np.asarray(np.abs(block.frequency_response(omega) / block.b[0]))
@@ -80,13 +74,12 @@ def phase(block: ContinuousTransferFunction, omega: Array) -> Array:
     return of(block.zeros()) - of(block.poles()) - block.delay * omega
 
 
-def true_response(name: str, truth: Truth, omega: Array) -> float:
-    """The true gain or phase of a name, given the frequencies w_1, w_2, ... (n,); nan beyond the last."""
-    quantity, m, k = _parsed(name)
-    if m > len(omega):
-        return math.nan
+def true_response(name: str, truth: Truth, omega: float) -> float:
+    """The true gain or phase of a name, given the frequency w_m that it numbers."""
+    quantity, _, k = _parsed(name)
     first, second = truth.blocks["input"], truth.blocks["output"]
-    at, harmonic = omega[m - 1 : m], k * omega[m - 1 : m]
+    at = np.array([omega])
+    harmonic = k * at
     match quantity:
         case "gain_i":
             found = gain(first, at)
@@ -153,10 +146,9 @@ class _True(_OfResponses):
     def check(self, scored: Scored) -> None:
         _check_static_gains(scored)
 
-    def truths(self, record: Record, omega: Array) -> list[float]:
-        """The true values at the frequencies w_1, w_2, ... (n,)."""
-        assert record.truth is not None
-        return [true_response(name, record.truth, omega) for name in self.of]
+    def truths(self, record: Record, omega: Mapping[int, float]) -> list[float]:
+        """The true values, given the frequencies w_m by their numbers m."""
+        return [true_response(name, needed(record.truth), omega[_parsed(name)[1]]) for name in self.of]
 
 
 def _factors(name: str) -> tuple[str, ...]:
@@ -189,7 +181,7 @@ class TrueResponse(_True):
                 raise ValueError(f"asks for {name}, and the record has sines at {known} frequencies")
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        return self.truths(record, sine_frequencies(record))
+        return self.truths(record, dict(enumerate(sine_frequencies(record).tolist(), start=1)))
 
 
 @component("metric", "response_error")
@@ -200,7 +192,8 @@ class ResponseError(_Estimated, _True):
     """In percent of the true gain or phase."""
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        true = self.truths(record, estimated_frequencies(estimate))
+        numbers = {_parsed(name)[1] for name in self.of}
+        true = self.truths(record, {m: estimate.values[f"omega_{m}"] for m in numbers})
         errors = []
         for name, found, at in zip(self.of, self.estimates(estimate), true, strict=True):
             error = found - at
@@ -232,7 +225,9 @@ class GainShapeError(MetricSpec):
     def needs_of_estimate(self) -> frozenset[str]:
         numbered = enumerate(self.harmonics, start=1)
         return frozenset(
-            f"value gain_{k} or value {part}" for m, k in numbered for part in _factors(f"series_gain_{m}")
+            f"value gain_{k} or value {part}"
+            for m, k in numbered
+            for part in (f"omega_{m}", *_factors(f"series_gain_{m}"))
         )
 
     def check(self, scored: Scored) -> None:
@@ -242,15 +237,15 @@ class GainShapeError(MetricSpec):
             raise ValueError("counts the harmonics of multisines, and the record has none")
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        assert record.truth is not None
         names = [f"gain_{k}" for k in self.harmonics]
         if names[0] in estimate.values:
             omega = np.array(self.harmonics) * _lowest_frequency(record)
             found = [estimate.values[name] for name in names]
         else:
-            omega = estimated_frequencies(estimate)[: len(names)]
-            found = [_product(f"series_gain_{m}", estimate.values) for m in range(1, len(names) + 1)]
-        blocks = record.truth.blocks
+            numbers = range(1, len(names) + 1)
+            omega = np.array([estimate.values[f"omega_{m}"] for m in numbers])
+            found = [_product(f"series_gain_{m}", estimate.values) for m in numbers]
+        blocks = needed(record.truth).blocks
         away = np.log(found / (gain(blocks["input"], omega) * gain(blocks["output"], omega)))
         return (100.0 * float(np.std(away, ddof=1)),)
 
@@ -269,7 +264,7 @@ class MovedDelay(MetricSpec):
     and counts as zero.
     """
 
-    experiments: Annotated[tuple[str, ...], Field(min_length=1)]
+    experiments: NonEmpty[str]
     """Names of experiments, one number each; a name stands for its series NAME 1, NAME 2, ... too."""
 
     def labels(self, name: str) -> tuple[str, ...]:
@@ -289,8 +284,7 @@ class MovedDelay(MetricSpec):
                 )
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        assert record.truth is not None
-        return [_change(record, record.truth, name) for name in self.experiments]
+        return [_change(record, needed(record.truth), name) for name in self.experiments]
 
 
 def _belongs(name: str, experiment: str) -> bool:
@@ -309,14 +303,13 @@ def _relative_change(one: Array, other: Array) -> float:
 
 def _change(record: Record, truth: Truth, experiment: str) -> float:
     """The largest relative change over the experiments of a name; nan if there is none."""
-    assert truth.nonlinearity is not None
-    first, second = truth.blocks["input"], truth.blocks["output"]
+    first, middle, second = truth.blocks["input"], needed(truth.nonlinearity), truth.blocks["output"]
     delayed = replace(first, delay=first.delay + second.delay), replace(second, delay=0.0)
     changes = [math.nan]
     for name, part in record.parts.items():
         if _belongs(name, experiment):
             signal = part.waveform, len(part), part.dt
-            one = respond(first, truth.nonlinearity, second, *signal)
-            other = respond(delayed[0], truth.nonlinearity, delayed[1], *signal)
+            one = respond(first, middle, second, *signal)
+            other = respond(delayed[0], middle, delayed[1], *signal)
             changes.append(_relative_change(one, other))
     return float(np.fmax.reduce(changes))

@@ -9,14 +9,14 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, component
 from hident.errors import EstimationError, SimulationError
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 from hident.metrics.base import MetricSpec, Scored
 from hident.numerics.rounding import is_constant
-from hident.records import Array, Estimate, Record
+from hident.records import Estimate, Record, needed
 from hident.signals.base import ExcitationSpec
-from hident.systems.continuous import ContinuousTransferFunction
-from hident.systems.linear import TransferFunction
 
 # Sampling intervals this close, relative to their size, are one.
 _SAME = 1e-9
@@ -100,11 +100,9 @@ class LinearPercentError(MetricSpec):
         return self.step or dt or 1.0
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        assert record.truth is not None
-        assert record.truth.continuous is not None
-        block = estimate.continuous or estimate.linear
-        assert block is not None
-        return (discretised_percent_error(block, record.truth.continuous, self._step(record.dt)),)
+        block = estimate.continuous or needed(estimate.linear)
+        true = needed(needed(record.truth).continuous)
+        return (discretised_percent_error(block, true, self._step(record.dt)),)
 
 
 @component("metric", "settling_time", source="Chen, Hwang, Chang 2009, example 5")
@@ -118,12 +116,11 @@ class SettlingTime(MetricSpec):
         return frozenset({"continuous"})
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        assert estimate.continuous is not None
-        return (estimate.continuous.settling_time(self.band),)
+        return (needed(estimate.continuous).settling_time(self.band),)
 
 
 @component("metric", "validation_error")
-class ValidationError(MetricSpec):
+class ValidationPercentError(MetricSpec):
     """Percent error of the model's noise-free response to an input that it was not fitted to.
 
     Infinite for a model with an unstable linear block, whose response says nothing.
@@ -156,14 +153,12 @@ class ValidationError(MetricSpec):
             )
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        assert record.truth is not None
-        assert record.truth.response is not None
-        assert estimate.response is not None
+        found, true = needed(estimate.response), needed(needed(record.truth).response)
         if not has_stable_block(estimate):
             return (math.inf,)
         dt = 1.0 if record.dt is None else record.dt
         u = validation_input(self.excitation, self.samples, dt)
-        return (fit_error(estimate.response(u, dt), record.truth.response(u, dt)),)
+        return (fit_error(found(u, dt), true(u, dt)),)
 
 
 def validation_input(excitation: ExcitationSpec, samples: int, dt: float) -> Array:

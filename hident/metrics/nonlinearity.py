@@ -8,10 +8,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Interval, component
 from hident.errors import TrialFailed
 from hident.metrics.base import MetricSpec, Scored
-from hident.records import Array, Characteristic, Estimate, Record, Truth
+from hident.records import Estimate, Record, Truth, needed
 
 _NODES = 8
 _PARTS = frozenset({"nonlinearity"})
@@ -64,10 +65,9 @@ class _OnInterval(MetricSpec):
     def integrals(self, estimate: Estimate, record: Record) -> tuple[float, float]:
         """The integrals of the squared error and of the squared truth over the interval."""
         truth, breaks = _of(record.truth)
-        assert estimate.nonlinearity is not None
         nodes, weights = quadrature(*self.interval, breaks, self.points)
         true = _finite(truth(nodes), nodes, "true")
-        error = _finite(estimate.nonlinearity(nodes), nodes, "estimated") - true
+        error = _finite(needed(estimate.nonlinearity)(nodes), nodes, "estimated") - true
         return float(weights @ error**2), float(weights @ true**2)
 
 
@@ -88,12 +88,11 @@ class IntegratedSquaredError(_OnInterval):
         if self.at == "grid":
             return (self.integrals(estimate, record)[0],)
         truth, _ = _of(record.truth)
-        assert estimate.nonlinearity is not None
         low, high = self.interval
         # In increasing order, in which an estimate is evaluated with fewer jumps through memory.
         u = record.u[record.order]
         u = u[np.searchsorted(u, low) : np.searchsorted(u, high, "right")]
-        error = _finite(estimate.nonlinearity(u), u, "estimated")
+        error = _finite(needed(estimate.nonlinearity)(u), u, "estimated")
         error = error - _finite(truth(u), u, "true")
         return ((high - low) * float(error @ error) / len(u) if len(u) else float("nan"),)
 
@@ -104,10 +103,9 @@ class NonlinearityPercentError(_OnInterval):
 
     def check(self, scored: Scored) -> None:
         truth = scored.system.truth()
-        assert truth.nonlinearity is not None
         with np.errstate(all="ignore"):
             nodes, _ = quadrature(*self.interval, truth.breakpoints, self.points)
-            if not np.any(truth.nonlinearity(nodes)):
+            if not np.any(needed(truth.nonlinearity)(nodes)):
                 raise ValueError(
                     "is in percent of the true nonlinearity, which is zero throughout the interval: "
                     "take a wider interval, or the kind mise"

@@ -10,7 +10,7 @@ from pydantic import Field, field_validator
 
 from hident.config.spec import Real, component
 from hident.metrics.base import MetricSpec, Scored
-from hident.records import Estimate, Record
+from hident.records import Estimate, Record, needed
 
 
 class _OfValues(MetricSpec):
@@ -38,8 +38,8 @@ class _AgainstTruth(_OfValues):
         return frozenset(f"value {name}" for name in self.of)
 
     def errors(self, estimate: Estimate, record: Record) -> list[float]:
-        assert record.truth is not None
-        return [estimate.values[name] - record.truth.values[name] for name in self.of]
+        truth = needed(record.truth)
+        return [estimate.values[name] - truth.values[name] for name in self.of]
 
 
 @component("metric", "value")
@@ -75,8 +75,7 @@ class TrueValue(_EachValue):
         return frozenset()
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        assert record.truth is not None
-        return [record.truth.values[name] for name in self.of]
+        return [needed(record.truth).values[name] for name in self.of]
 
 
 @component("metric", "share")
@@ -117,7 +116,6 @@ class PercentError(_AgainstTruth):
             raise ValueError("is in percent of the true values, which are all zero: take the kind error")
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        assert record.truth is not None
-        size = sum(abs(record.truth.values[name]) for name in self.of)
+        size = sum(abs(needed(record.truth).values[name]) for name in self.of)
         error = sum(abs(value) for value in self.errors(estimate, record))
         return (100.0 * error / size if size else float("nan"),)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from hident.config.spec import Component, Spec
+from hident.config.references import Labels, Metric, NumericAxis, Referring, referring
+from hident.config.spec import Component
+from hident.config.yaml12 import Location
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
 
@@ -16,13 +18,8 @@ if TYPE_CHECKING:
 
     from hident.engine.experiment import Plan
 
-Place = tuple[str | int, ...]
-Field = str | Place
-"""A field of a spec, or the path to an entry of it: ("columns", 0, "estimator")."""
-Reference = tuple[Field, str, str]
-"""The field that refers, what to (estimator, metric, axis, table or 'label of AXIS'), and the name."""
-Misfit = tuple[Field, str]
-"""A field, and why it does not do."""
+Misfit = tuple[Location, str]
+"""The path to an entry of a spec, such as ("columns", 0, "estimator"), and why it does not do."""
 
 
 @dataclass(frozen=True)
@@ -64,65 +61,79 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def label_references(place: Place, at: Mapping[str, Any]) -> Iterator[Reference]:
-    """The references of labels by their axes, which stand at the place."""
-    for axis, label in at.items():
-        yield (*place, axis), "axis", axis
-        yield (*place, axis), f"label of {axis}", str(label)
+def misfits(plan: Plan, spec: ReportSpec) -> list[Misfit]:
+    """What a report cannot show of this plan, though it knows every name."""
+    values = list(referring(spec))
+    return list(_left_out(plan, values)) or [
+        *_mismatched(plan, values),
+        *_not_numeric(plan, values),
+        *spec.misfits(plan),
+    ]
 
 
-def unscored(plan: Plan, field: Field, estimator: str, metric: str) -> Iterator[Misfit]:
+def _left_out(plan: Plan, values: Sequence[Referring]) -> Iterator[Misfit]:
+    """The estimators that no case holds at labels that stand beside them."""
+    for labels in (value for value in values if isinstance(value.reference, Labels)):
+        for estimator in _estimators(values):
+            beside = estimator.spec is labels.spec
+            if beside and not any(u.name == estimator.value and u.is_at(labels.value) for u in plan.units):
+                at = ", ".join(f"{axis} {label}" for axis, label in labels.value.items())
+                yield estimator.place, f"the estimator '{estimator.value}' is left out at {at}"
+
+
+def _mismatched(plan: Plan, values: Sequence[Referring]) -> Iterator[Misfit]:
+    """The metrics that are to be shown of an estimator that they do not score."""
+    for metric in values:
+        if not isinstance(metric.reference, Metric):
+            continue
+        depth = len(metric.within)
+        for estimator in _estimators(values):
+            field = estimator.place[depth] if estimator.place[:depth] == metric.within else None
+            # Of one metric for several estimators, it is one of these that is wrong.
+            several = len(metric.place) == depth + 1 < len(estimator.place)
+            for _, _, label in metric.names() if field in metric.reference.scores else ():
+                place = (estimator if several else metric).place
+                yield from unscored(plan, place, estimator.value, label)
+
+
+def _estimators(values: Sequence[Referring]) -> list[Referring]:
+    return [value for value in values if value.reference.what == "estimator"]
+
+
+def _not_numeric(plan: Plan, values: Sequence[Referring]) -> Iterator[Misfit]:
+    for value in values:
+        if isinstance(axis := value.reference, NumericAxis):
+            positive = axis.positive
+            positive = getattr(value.spec, positive) if isinstance(positive, str) else positive
+            for message in not_numeric(plan, value.value, positive=positive, least=axis.least):
+                yield value.place, message
+
+
+def unscored(plan: Plan, place: Location, estimator: str, metric: str) -> Iterator[Misfit]:
     """A misfit if no unit of the estimator is scored by the metric."""
     if not any(unit.name == estimator and metric in unit.metric_labels for unit in plan.units):
-        yield field, f"the metric '{metric}' does not score the estimator '{estimator}'"
+        yield place, f"the metric '{metric}' does not score the estimator '{estimator}'"
 
 
-def left_out(plan: Plan, spec: Spec, place: Place = ()) -> Iterator[Misfit]:
-    """A misfit for each part of a report that names an estimator where no case holds it."""
-    at = getattr(spec, "at", {})
-    at = at if isinstance(at, Mapping) else {}
-    named = {field: getattr(spec, field) for field in ("estimator", "estimators") if hasattr(spec, field)}
-    for field, names in named.items():
-        several = {"": names} if isinstance(names, str) else names
-        for key, name in several.items() if isinstance(several, Mapping) else enumerate(several):
-            if not any(unit.name == name and unit.is_at(at) for unit in plan.units):
-                labels = ", ".join(f"{axis} {label}" for axis, label in at.items())
-                inside = () if isinstance(names, str) else (key,)
-                yield (
-                    (*place, field, *inside),
-                    f"the estimator '{name}' is left out at {labels or 'every label'}",
-                )
-    for field in type(spec).model_fields:
-        value = getattr(spec, field)
-        for i, inner in enumerate(value) if isinstance(value, tuple) else (("", value),):
-            if isinstance(inner, Spec):
-                inside = (i,) if isinstance(value, tuple) else ()
-                yield from left_out(plan, inner, (*place, field, *inside))
-
-
-def not_numeric(plan: Plan, field: Field, axis: str, *, positive: bool, least: int = 1) -> Iterator[Misfit]:
-    """A misfit if the labels of the axis are not numbers, or not positive, or too few."""
+def not_numeric(plan: Plan, axis: str, *, positive: bool, least: int = 1) -> Iterator[str]:
+    """Why the labels of an axis do not do, if they are not numbers, or not positive, or too few."""
     labels = next((a.labels for a in plan.axes if a.name == axis), ())
     try:
         numbers = [float(label) for label in labels]
     except ValueError:
-        yield field, f"the labels of the axis '{axis}' must be numbers, not {', '.join(map(str, labels))}"
+        yield f"the labels of the axis '{axis}' must be numbers, not {', '.join(map(str, labels))}"
         return
     if positive and min(numbers, default=1.0) <= 0.0:
-        yield field, f"the labels of the axis '{axis}' must be positive for a logarithm"
+        yield f"the labels of the axis '{axis}' must be positive for a logarithm"
     if len(numbers) < least:
-        yield field, f"the axis '{axis}' needs at least {least} labels"
+        yield f"the axis '{axis}' needs at least {least} labels"
 
 
 class ReportSpec(Component):
     """Base of all tables and figures."""
 
-    def references(self) -> Iterator[Reference]:
-        """The names of the configuration that it refers to."""
-        yield from ()
-
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        """What cannot be shown of this plan, though every name is known."""
+        """What cannot be shown of this plan beyond what the types of its fields say."""
         yield from ()
 
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.config.spec import Component
-from hident.records import Array, Held, Periodic, Waveform
+from hident.records import Held, Periodic, Waveform
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
+from hident.arrays import Array
 from hident.config.spec import Count, Flag, Interval, Of, Real, component
 from hident.config.suggest import one_of
 from hident.numerics.whole import nearest_whole, whole_part
-from hident.records import Array, Held, Periodic
+from hident.records import Held, Periodic
 from hident.signals.base import ExcitationSpec
 from hident.systems.linear import DiscreteSpec, LinearSpec
 

@@ -9,10 +9,10 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, Spec, component
 from hident.config.suggest import one_of
 from hident.numerics.whole import nearest_whole
-from hident.records import Array
 from hident.signals.base import ExcitationSpec, Stretch
 from hident.signals.excitation import Positive, Sine
 

@@ -29,7 +29,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hident.records import Array
+from hident.arrays import Array
 
 Words = NDArray[np.uint32]
 Size = int | tuple[int, ...] | None

@@ -8,11 +8,11 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from hident.arrays import Array
 from hident.config.spec import Real, component
 from hident.config.suggest import one_of
-from hident.records import Array
+from hident.linear_blocks import TransferFunction
 from hident.signals.base import NoiseSpec
-from hident.systems.linear import TransferFunction
 
 Level = Annotated[Real, Field(ge=0)]
 

@@ -6,8 +6,9 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator
 
+from hident.arrays import Array
 from hident.config.spec import Component, Real
-from hident.records import Array, Truth, Waveform
+from hident.records import Truth, Waveform
 
 
 def _as_list(value: Any) -> Any:
@@ -94,13 +95,4 @@ class SystemSpec(Component):
 
     def provides(self) -> frozenset[str]:
         """The parts of :meth:`truth`: ``nonlinearity``, ``linear``, ``response``, ``value NAME``..."""
-        truth = self.truth()
-        parts: dict[str, Any] = {
-            "nonlinearity": truth.nonlinearity,
-            "linear": truth.linear,
-            "continuous": truth.continuous,
-            "response": truth.response,
-            "blocks": truth.blocks or None,
-        }
-        known = {name for name, part in parts.items() if part is not None}
-        return frozenset(known | {f"value {name}" for name in truth.values})
+        return self.truth().provides()

@@ -8,10 +8,12 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import model_validator
 
+from hident.arrays import Array
 from hident.config.spec import Of, component
-from hident.records import Array, Held, Truth, Waveform
+from hident.linear_blocks import ContinuousTransferFunction
+from hident.records import Held, Truth, Waveform
 from hident.systems.base import NonlinearitySpec, SystemSpec
-from hident.systems.continuous import Continuous, ContinuousTransferFunction
+from hident.systems.continuous import Continuous
 from hident.systems.continuous_wiener_hammerstein import respond
 from hident.systems.linear import DiscreteSpec, LinearSpec
 

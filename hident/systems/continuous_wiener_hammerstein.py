@@ -18,10 +18,11 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from hident.arrays import Array, Characteristic, Complex
 from hident.errors import SimulationError
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.numerics.whole import nearest_whole
-from hident.records import Array, Characteristic, Held, Periodic, Waveform
-from hident.systems.continuous import Complex, ContinuousTransferFunction
+from hident.records import Held, Periodic, Waveform
 
 ACCURACY = 1e-11
 """Accuracy of the responses: the spectrum of f's output must fall to this, relative to its largest line."""

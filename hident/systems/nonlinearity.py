@@ -9,9 +9,9 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 from pydantic import BeforeValidator, PrivateAttr, field_validator, model_validator
 
+from hident.arrays import Array
 from hident.config.expression import Formula
 from hident.config.spec import Count, Real, component
-from hident.records import Array
 from hident.systems.base import Coefficients, NonlinearitySpec
 
 

@@ -15,11 +15,12 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Real, component
 from hident.errors import SimulationError
-from hident.records import Array, Truth
+from hident.linear_blocks import ContinuousTransferFunction
+from hident.records import Truth
 from hident.systems.base import SystemSpec
-from hident.systems.continuous import ContinuousTransferFunction
 
 Advance = Callable[[Array, float, Array], Array]
 """The states (K, n) at K times after a state (n,), at a constant flow."""

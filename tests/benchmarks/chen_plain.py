@@ -16,8 +16,8 @@ from numpy.polynomial import Polynomial
 from scipy.integrate import simpson
 from scipy.signal import cont2discrete, lfilter
 
-from hident.records import Array
-from hident.systems.continuous import ContinuousTransferFunction
+from hident.arrays import Array
+from hident.linear_blocks import ContinuousTransferFunction
 
 _PATIENCE = 10
 _OFFSETS = (-0.5, -0.25, 0.0, 0.25, 0.5)

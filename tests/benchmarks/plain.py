@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.engine.trial import Data, generate
-from hident.records import Array
 from tests.benchmarks.table1 import ALPHA, FEEDBACK, H0, LENGTH, Q0
 
 

@@ -18,14 +18,15 @@ from typing import Any
 import numpy as np
 
 from hident import plugins
+from hident.arrays import Array
 from hident.engine.executors import pin_blas
 from hident.engine.experiment import load
 from hident.engine.trial import Data, generate
 from hident.estimators.bilinear_models.bilinear import Regression, regressors
 from hident.estimators.bilinear_models.bilinear_least_squares import BilinearLeastSquares
 from hident.estimators.bilinear_models.known_basis import BilinearSpec
-from hident.estimators.bilinear_models.two_stage import TwoStage, TwoStageAlgorithm, two_stage
-from hident.records import Array, Record
+from hident.estimators.bilinear_models.two_stage import TwoStage, TwoStageFit, two_stage
+from hident.records import Record
 from tests.benchmarks.timing import interleaved, show
 
 _CONFIG = """
@@ -105,12 +106,12 @@ def run(trials: int) -> tuple[float, int]:
     return taken, usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
-def example() -> tuple[Data, TwoStageAlgorithm]:
+def example() -> tuple[Data, TwoStage]:
     """The data and the estimator of the configuration."""
     plugins.load()
     with written() as config:
         (unit,) = load(config, ()).units
-    assert isinstance(unit.estimator, TwoStageAlgorithm)
+    assert isinstance(unit.estimator, TwoStage)
     return unit.data, unit.estimator
 
 
@@ -123,7 +124,7 @@ def written() -> Iterator[Path]:
         yield config
 
 
-def speed(data: Data, spec: TwoStageAlgorithm) -> None:
+def speed(data: Data, spec: TwoStage) -> None:
     """Trials per second against a loop, and against the one matrix product."""
     exact = noise_free(data)
     noise = np.random.default_rng(_SEED).standard_normal((data.samples, max(_BATCHES)))
@@ -146,7 +147,7 @@ def noise_free(data: Data) -> Record:
     return generate(data.model_copy(update={"noise": ()}), _SEED, 0)
 
 
-def row(spec: TwoStageAlgorithm, basis: Array, y: Array) -> list[str]:
+def row(spec: TwoStage, basis: Array, y: Array) -> list[str]:
     """The line of the outputs ``y`` (rows, T)."""
     phi, each = regressors(basis, spec.lags, spec.delay), y.T.copy()
     inverse = np.linalg.pinv(phi)
@@ -169,7 +170,7 @@ def row(spec: TwoStageAlgorithm, basis: Array, y: Array) -> list[str]:
     ]
 
 
-def batch(spec: TwoStageAlgorithm, basis: Array, y: Array) -> TwoStage:
+def batch(spec: TwoStage, basis: Array, y: Array) -> TwoStageFit:
     """The estimates of all trials, ``y`` (rows, T), from the basis functions (m, N)."""
     return two_stage(Regression.of(regressors(basis, spec.lags, spec.delay), spec.lags), y)
 
@@ -202,7 +203,7 @@ class Contender:
     read: Callable[[Any], Found]
 
 
-def packages(data: Data, spec: TwoStageAlgorithm) -> None:
+def packages(data: Data, spec: TwoStage) -> None:
     """Errors and times of hident and of packages that can fit the same data."""
     exact = noise_free(data)
     outputs = np.array([generate(data, _SEED, trial).y for trial in range(_COMPARED)])
@@ -250,7 +251,7 @@ def error(found: Iterable[Array], truth: Array, size: float | None = None) -> st
     return f"{np.sqrt(np.mean(squares)) / (np.linalg.norm(truth) if size is None else size):.3g}"
 
 
-def hidents(spec: TwoStageAlgorithm, exact: Record) -> dict[str, Contender]:
+def hidents(spec: TwoStage, exact: Record) -> dict[str, Contender]:
     """The two-stage algorithm on all trials at once and as a run calls it, and nonlinear least squares."""
     phi, n = spec.data(exact)[0], spec.lags
 
@@ -278,7 +279,7 @@ def hidents(spec: TwoStageAlgorithm, exact: Record) -> dict[str, Contender]:
     }
 
 
-def pysids(spec: TwoStageAlgorithm, exact: Record) -> dict[str, Contender]:
+def pysids(spec: TwoStage, exact: Record) -> dict[str, Contender]:
     """pysid's least squares with the basis functions as inputs, without and with one pole."""
     pysid = importlib.import_module("pysid")
     lfilter = importlib.import_module("scipy.signal").lfilter
@@ -304,7 +305,7 @@ def pysids(spec: TwoStageAlgorithm, exact: Record) -> dict[str, Contender]:
     }
 
 
-def frols(spec: TwoStageAlgorithm, exact: Record) -> dict[str, Contender]:
+def frols(spec: TwoStage, exact: Record) -> dict[str, Contender]:
     """SysIdentPy's forward regression on all monomials of the lagged inputs, their number by BIC."""
     selection = importlib.import_module("sysidentpy.model_structure_selection")
     polynomial = importlib.import_module("sysidentpy.basis_function").Polynomial

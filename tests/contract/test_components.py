@@ -308,7 +308,7 @@ def _data(example, samples=None):
 
 def _fit(example, record):
     with np.errstate(all="ignore"):
-        found = _spec(example).fit(record, np.random.default_rng(5))
+        found = _spec(example).fit(record)
         return found, None if found.nonlinearity is None else found.nonlinearity(np.linspace(-0.9, 0.9, 31))
 
 
@@ -439,7 +439,6 @@ class TestEveryEstimator:
         given = {name for name, part in parts.items() if part is not None}
         assert given | {f"value {name}" for name in found.values} == _spec(example).provides()
         assert all(isinstance(value, float) for value in found.values.values())
-        assert all(isinstance(value, float | int) for value in found.diagnostics.values())
 
     def test_dynamics_are_promised_by_those_that_always_give_them(self, example):
         spec = _spec(example)

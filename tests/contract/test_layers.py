@@ -20,19 +20,20 @@ LAYERS = (
     ("console",),
     ("reports",),
     ("ledger",),
+    ("run_folder",),
     ("engine",),
     ("estimators", "metrics"),
     ("signals",),
     ("systems",),
     ("records", "plugins"),
+    ("linear_blocks",),
     ("numerics",),
+    ("arrays",),
     ("config",),
     ("__init__",),
     ("arithmetic",),
     ("errors",),
 )
-# Records and estimates hold a linear block, and name its type for type checkers only.
-EXCEPTIONS = {("records", "systems.linear"), ("records", "systems.continuous")}
 HEIGHT = {room: -level for level, rooms in enumerate(LAYERS) for room in rooms}
 MODULES = sorted(ROOT.rglob("*.py"))
 
@@ -70,15 +71,9 @@ def test_imports_run_downwards(path):
     wrong = [
         imported
         for imported in imports(path)
-        if room_of(imported) != here
-        and HEIGHT[room_of(imported)] >= HEIGHT[here]
-        and (module, imported) not in EXCEPTIONS
+        if room_of(imported) != here and HEIGHT[room_of(imported)] >= HEIGHT[here]
     ]
     assert not wrong, f"{module} imports {wrong}"
-
-
-def test_the_exceptions_are_in_use():
-    assert all(imported in imports(ROOT / f"{module}.py") for module, imported in EXCEPTIONS)
 
 
 def numerical(name):

@@ -4,9 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.estimators.moving_horizon.static_functions import PolynomialFunction, ThreeSegmentFunction
-from hident.records import Array, Record
-from hident.systems.continuous import ContinuousTransferFunction
+from hident.linear_blocks import ContinuousTransferFunction
+from hident.records import Record
 
 BLOCK = ContinuousTransferFunction((1.0, -1.0), (4.0, 4.0, 3.0), 2.0)
 THREE_SEGMENTS = ThreeSegmentFunction((1.5, -0.2, -0.3, 0.4, 0.7), -0.8, 0.6)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hident.errors import EstimationError
 from hident.estimators.bilinear_models.ar_noise import METHODS, ArModel, EstimatedAr, chi_squared, f_test, fpe
-from hident.systems.linear import TransferFunction
+from hident.linear_blocks import TransferFunction
 
 QUICK = settings(deadline=None, derandomize=True, max_examples=40)
 

@@ -22,9 +22,9 @@ from hident.estimators.bilinear_models.bilinear_least_squares import (
     jacobian,
 )
 from hident.estimators.bilinear_models.bounds import CramerRao
-from hident.estimators.bilinear_models.two_stage import TwoStageAlgorithm, two_stage
+from hident.estimators.bilinear_models.two_stage import TwoStage, two_stage
+from hident.linear_blocks import TransferFunction
 from hident.records import Record, Truth
-from hident.systems.linear import TransferFunction
 from hident.systems.nonlinearity import Polynomial
 
 RNG = np.random.default_rng(0)
@@ -83,7 +83,7 @@ def test_theorem_1_the_two_stage_estimate_is_the_optimum_for_the_inverse_gram_ma
         np.testing.assert_allclose(b, expected.b, rtol=1e-8)
         np.testing.assert_allclose(a, expected.a, rtol=1e-8)
     by_spec = spec(weight="inverse_gram", start="truth").fit(record_of(x, y), RNG)
-    two_stages = TwoStageAlgorithm(lags=2, degree=5).fit(record_of(x, y), RNG)
+    two_stages = TwoStage(lags=2, degree=5).fit(record_of(x, y), RNG)
     for name in two_stages.values:
         if name != "loss":
             assert by_spec.values[name] == pytest.approx(two_stages.values[name], rel=1e-8)

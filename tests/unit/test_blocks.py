@@ -8,9 +8,9 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from hident.config.spec import Of
+from hident.linear_blocks import TransferFunction
 from hident.systems import blocks, nonlinearity
 from hident.systems.base import SystemSpec
-from hident.systems.linear import TransferFunction
 
 system: TypeAdapter[SystemSpec] = TypeAdapter(Annotated[SystemSpec, Of("system")])
 FIR = {"kind": "fir", "b": [1, 2], "initial": "zero"}

@@ -13,9 +13,9 @@ from hident.engine.results import Results, Series
 from hident.errors import ConfigError
 from hident.estimators.moving_horizon.searches import PartitionSearch
 from hident.ledger.verdicts import judge
+from hident.reports.figures.scatter import rank_correlation
+from hident.reports.one_trial.searches import draw_partition
 from hident.reports.output import check
-from hident.reports.scatter import rank_correlation
-from hident.reports.searches import draw_partition
 from hident.reports.style import legend_columns, style
 
 CONFIG = """\
@@ -85,7 +85,7 @@ def make(tmp_path):
             for label in unit.metric_labels
             for found in [(values or {}).get((label, unit.name, unit.labels["type"]), np.ones(4))]
         ]
-        return Results(plan, 1, 4, tuple(series))
+        return Results(plan, tuple(series))
 
     return results
 

@@ -274,7 +274,7 @@ def test_an_estimator_that_does_not_say_is_not_refused_and_its_tables_say_so(pla
         def provides(self):
             return frozenset({"nonlinearity"})
 
-        def fit(self, record, rng):
+        def fit(self, record, rng=None):
             return Estimate(nonlinearity=np.positive)
 
     spec = Of("estimator").validate({"kind": "says_nothing"})

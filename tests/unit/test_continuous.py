@@ -10,7 +10,8 @@ from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, lfilter
 
-from hident.systems.continuous import Continuous, ContinuousTransferFunction
+from hident.linear_blocks import ContinuousTransferFunction
+from hident.systems.continuous import Continuous
 from tests.unit.plans import refusals
 
 QUICK = settings(deadline=None, derandomize=True, max_examples=30)

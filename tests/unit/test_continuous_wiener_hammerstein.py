@@ -12,10 +12,10 @@ from scipy.integrate import solve_ivp
 import hident.systems.nonlinearity  # noqa: F401  (for its registration)
 from hident.config.spec import Of
 from hident.errors import SimulationError
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.records import Held, Periodic
 from hident.systems.base import SystemSpec
 from hident.systems.blocks import WienerHammerstein
-from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.continuous_wiener_hammerstein import respond
 
 # Brouri, eq. (43): (s + 0.1)(s + 0.5) and (s + 0.2)(s + 0.01), both with static gain 1.

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from scipy import stats
 
 from hident.config.spec import Of, Spec, components
+from hident.linear_blocks import TransferFunction
 from hident.signals.base import ExcitationSpec
 from hident.signals.excitation import (
     Filtered,
@@ -24,7 +25,7 @@ from hident.signals.excitation import (
 )
 from hident.signals.matlab5 import Rand
 from hident.signals.matlab5_streams import Matlab5Streams
-from hident.systems.linear import Ar, Fir, TransferFunction
+from hident.systems.linear import Ar, Fir
 
 AR = Ar(a=(0.5, 0.2))
 AT_REST = Ar(a=(0.5, 0.2), initial="zero")

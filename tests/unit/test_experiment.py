@@ -527,13 +527,13 @@ published:
             "a.yaml:25: tables.t.columns[1].metric: there is no metric 'a' (there are: mise, a a_1)",
             "a.yaml:27: figures.f.at[0].samples: there is no label of samples '70' (there are: 50, 60)",
             "a.yaml:28: published: needs 'paper', the folder under experiments/ with the numbers",
+            "a.yaml:31: published.cells[0].row: there is no axis 'n' (there are: samples)",
             "a.yaml:31: published.cells[0].estimator: there is no estimator 'ik'; did you mean 'k'? "
             "(there are: k, iv)",
             "a.yaml:31: published.cells[0].metric: there is no metric 'mis'; did you mean 'mise'? "
             "(there are: mise, a a_1)",
-            "a.yaml:31: published.cells[0].at: there is no axis 'x' (there are: samples)",
-            "a.yaml:31: published.cells[0].row: there is no axis 'n' (there are: samples)",
-            "a.yaml:32: published.cells[1].at.samples: there is no label '61' (there are: 50, 60)",
+            "a.yaml:31: published.cells[0].at.x: there is no axis 'x' (there are: samples)",
+            "a.yaml:32: published.cells[1].at.samples: there is no label of samples '61' (there are: 50, 60)",
         ]
 
     @pytest.mark.parametrize("runs", ["0", "-3", "1.5", "true", "unknwn", "[1]"])

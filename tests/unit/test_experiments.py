@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-import hident.systems.nonlinearity  # noqa: F401  (for its registration)
+import hident.systems.blocks
+import hident.systems.nonlinearity  # noqa: F401  (for their registration)
 from hident.config.spec import Of, canonical
 from hident.engine.trial import Data, generate
 from hident.records import Held, Periodic
@@ -183,6 +184,19 @@ class TestRecords:
         alone = generate(data(STAIRS, 600, system=system), 1, 0)
         np.testing.assert_array_equal(record.y, np.tile(alone.y, 2))
         assert alone.parts == {}
+
+    def test_one_experiment_at_an_interval_of_its_own_is_a_part(self):
+        system = {
+            "kind": "hammerstein",
+            "nonlinearity": "abs",
+            "linear": {"kind": "continuous", "a": [12, 20]},
+        }
+        once = {"name": "once", "excitation": RANDOM, "samples": 60}
+        alone = generate(data(experiments({**once, "dt": 0.25}), 60, system=system), 1, 0)
+        assert alone.dt == 0.5
+        assert {name: part.dt for name, part in alone.parts.items()} == {"once": 0.25}
+        same = generate(data(experiments(once), 60, system=system), 1, 0)
+        assert same.parts == {}
 
     def test_one_experiment_on_a_system_that_follows_waveforms_is_a_part(self):
         record = generate(data(SINE, 50), 1, 0)

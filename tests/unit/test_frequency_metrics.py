@@ -1,6 +1,7 @@
 """Gains and phases of both blocks against truth, and what a moved delay changes."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from hident import plugins
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.metrics.frequency import (
     GainShapeError,
     MovedDelay,
@@ -22,7 +24,6 @@ from hident.metrics.frequency import (
 )
 from hident.records import Estimate, Part, Periodic, Record, Truth
 from hident.systems.blocks import WienerHammerstein
-from hident.systems.continuous import ContinuousTransferFunction
 
 INPUT = ContinuousTransferFunction((2.0,), (12.0, 20.0))
 OUTPUT = ContinuousTransferFunction((1.0, 3.0), (105.0, 500.0), 20.0)
@@ -66,14 +67,13 @@ def test_the_phase_is_continuous_from_zero_where_the_angle_wraps():
 
 def test_names_mean_what_they_say():
     def of(name):
-        return true_response(name, TRUTH, OMEGA)
+        return true_response(name, TRUTH, OMEGA[int(re.findall(r"\d", name)[0]) - 1])
 
     assert of("gain_i_1") == pytest.approx(abs(INPUT.frequency_response(OMEGA)[0]) / 2.0)
     assert of("gain_o_2_3") == pytest.approx(abs(OUTPUT.frequency_response(np.array(0.09))))
     assert of("series_gain_2") == pytest.approx(of("gain_i_2") * of("gain_o_2_1"))
     assert of("phase_sum_1_3") == pytest.approx(3 * of("phase_i_1") + of("phase_o_1_3"))
     assert of("phase_o_1_3") == pytest.approx(of("phase_o_2_1"))
-    assert math.isnan(of("gain_i_3"))
 
 
 def test_estimates_and_errors():
@@ -98,7 +98,7 @@ def test_estimates_and_errors():
 
 def test_errors_are_taken_at_the_frequencies_of_the_estimate():
     at = record(sine(0.01), sine(0.02))
-    second = true_response("gain_i_2", TRUTH, np.array([0.01, 0.02]))
+    second = true_response("gain_i_2", TRUTH, 0.02)
     estimate = Estimate(values={"gain_i_1": second, "omega_1": 0.02})
     assert ResponseError(of=("gain_i_1",)).evaluate(estimate, at) == pytest.approx([0.0], abs=1e-15)
 
@@ -133,7 +133,7 @@ def test_a_name_that_is_none_is_refused(name, message):
 
 def test_the_shape_of_the_gain_is_blind_to_a_factor_only():
     at = record(sine(0.01), sine(0.03, 8), sine(0.01, 16, harmonics=(1, 3)))
-    true = [true_response(f"series_gain_{m}", TRUTH, OMEGA) for m in (1, 2)]
+    true = [true_response(f"series_gain_{m}", TRUTH, omega) for m, omega in enumerate(OMEGA, start=1)]
     metric = GainShapeError(harmonics=(1, 3))
     linear = {"gain_1": 7.0 * true[0], "gain_3": 7.0 * true[1]}
     assert metric.evaluate(Estimate(values=linear), at)[0] == pytest.approx(0.0, abs=1e-10)

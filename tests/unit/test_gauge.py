@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
+from scipy.special import chdtri
 
 from hident.errors import EstimationError
 from hident.estimators.frequency.frequency_gain import FrequencyGains
@@ -225,13 +226,13 @@ def test_the_rational_gauge_finds_a_zero():
     angles = np.concatenate((phase(first, grid.inputs), phase(g_o, grid.outputs)))
     errors = np.full(len(grid.m), 1e-5)
     logs = np.log(np.abs(complex_gains))
-    one, two, phases = fit_rational(
+    found = fit_rational(
         grid, logs, 1e-10 * np.eye(len(logs)), grid.equations @ angles, errors, ((1, 2), (0, 2))
     )
-    np.testing.assert_allclose(one.b, [-0.5], rtol=1e-6)
-    np.testing.assert_allclose(one.a, [4.0, 4.0], rtol=1e-6)
-    np.testing.assert_allclose(two.a, [105.0, 500.0], rtol=1e-6)
-    np.testing.assert_allclose(phases.input, phase(first, grid.inputs), atol=1e-6)
+    np.testing.assert_allclose(found.input.b, [-0.5], rtol=1e-6)
+    np.testing.assert_allclose(found.input.a, [4.0, 4.0], rtol=1e-6)
+    np.testing.assert_allclose(found.output.a, [105.0, 500.0], rtol=1e-6)
+    np.testing.assert_allclose(found.phases.input, phase(first, grid.inputs), atol=1e-6)
 
 
 def test_standard_errors_of_the_rational_gauge_are_those_of_many_trials():
@@ -241,11 +242,116 @@ def test_standard_errors_of_the_rational_gauge_are_those_of_many_trials():
     for _ in range(60):
         logs = clean.log_gains + 1e-4 * rng.normal(size=9)
         sums = clean.sums + 1e-4 * rng.normal(size=9)
-        trials.append(
-            fit_rational(PAPER, logs, clean.covariance, sums, clean.sum_errors, ((0, 2), (0, 2)))[2]
-        )
+        found = fit_rational(PAPER, logs, clean.covariance, sums, clean.sum_errors, ((0, 2), (0, 2)))
+        trials.append(found.phases)
     spread = np.std([trial.input for trial in trials], axis=0)
     np.testing.assert_allclose(spread, trials[0].input_errors, rtol=0.3)
+
+
+TEN = FrequencyGrid.of(np.geomspace(0.1, 10.0, 10), [2] * 10)
+
+
+def fitted(first, second, orders, errors=1e-5, level=0.0, grid=TEN):
+    """The fit to exact gains and phase sums of two blocks."""
+    logs = np.log(np.abs(np.concatenate((first(grid.inputs), second(grid.outputs)))))
+    angles = np.concatenate((phase(first, grid.inputs), phase(second, grid.outputs)))
+    count = len(grid.m)
+    return fit_rational(
+        grid,
+        logs,
+        errors**2 * np.eye(len(logs)),
+        grid.equations @ angles,
+        np.full(count, errors),
+        orders,
+        level,
+    )
+
+
+def lead(w):
+    return (1.0 + 3j * np.asarray(w)) / ((1.0 + 0.5j * np.asarray(w)) * (1.0 + 0.1j * np.asarray(w)))
+
+
+def lag_and_lead(w):
+    return (1.0 + 5j * np.asarray(w)) / (1.0 + 2j * np.asarray(w)) ** 2
+
+
+def late(w):
+    return lag_and_lead(w) * np.exp(-0.05j * np.asarray(w))
+
+
+def test_the_rational_gauge_starts_anew_where_the_first_fits_end_in_local_minima():
+    found = fitted(lead, lag_and_lead, ((1, 2), (1, 2)))
+    np.testing.assert_allclose(found.input.b, [3.0], rtol=1e-6)
+    np.testing.assert_allclose(found.input.a, [0.6, 0.05], rtol=1e-6)
+    np.testing.assert_allclose(found.output.b, [5.0], rtol=1e-6)
+    np.testing.assert_allclose(found.output.a, [4.0, 4.0], rtol=1e-6)
+    assert found.chi2 < 1e-3
+    assert found.freedom == 10 + 20 + 20 - 6
+
+
+@pytest.mark.parametrize(
+    ("second", "orders"),
+    [(lag_and_lead, ((1, 2), (0, 2))), (late, ((1, 2), (1, 2)))],
+    ids=["an order that is too low", "a delay"],
+)
+def test_rational_blocks_that_do_not_fit(second, orders):
+    found = fitted(lead, second, orders)
+    limit = chdtri(found.freedom, 0.001)
+    assert found.chi2 > limit
+    message = (
+        f"the rational blocks do not fit the gains and phase sums: chi^2 is {found.chi2:.4g}, {limit:.4g} "
+        f"the limit for {found.freedom} degrees of freedom, and the largest misfit is {found.misfit:.2g} of "
+        "a gain or radians of a phase sum. The degrees [m, n] of a block are too low, or a block has a "
+        "delay: raise the degrees, or declare another gauge; 'fit_level: 0' shows the estimate all the same"
+    )
+    with pytest.raises(EstimationError, match=f"^{re.escape(message)}$"):
+        fitted(lead, second, orders, level=0.001)
+
+
+def test_other_starts_end_in_the_same_blocks_though_they_do_not_fit():
+    """A frequency without data changes the starts and not the problem."""
+    found = fitted(lead, late, ((1, 2), (1, 2)))
+    omega = np.append(TEN.inputs, 300.0)
+    grid = FrequencyGrid.of(omega, [2] * 11)
+    at_300 = np.concatenate((omega == 300.0, grid.outputs >= 300.0))
+    logs = np.log(np.abs(np.concatenate((lead(omega), late(grid.outputs)))))
+    sums = grid.equations @ np.concatenate((phase(lead, omega), phase(late, grid.outputs)))
+    other = fit_rational(
+        grid,
+        np.where(at_300, np.nan, logs),
+        1e-10 * np.eye(len(logs)),
+        np.where(grid.m == 10, np.nan, sums),
+        np.full(22, 1e-5),
+        ((1, 2), (1, 2)),
+    )
+    np.testing.assert_allclose(other.input.a, found.input.a, rtol=1e-7)
+    np.testing.assert_allclose(other.output.a, found.output.a, rtol=1e-7)
+
+
+def test_a_small_misfit_of_rational_blocks_is_tolerated():
+    nearly = fitted(lead, lambda w: lag_and_lead(w) * np.exp(-2e-5j * w), ((1, 2), (1, 2)), 1e-6, level=0.001)
+    assert nearly.chi2 > 1000.0
+    assert nearly.misfit < 1e-3
+
+
+def test_as_many_coefficients_as_data_leave_nothing_to_test():
+    one = FrequencyGrid.of(np.array([1.0]), [1])
+    found = fitted(lambda w: 1.0 / (1.0 + 1j * w), lag_and_lead, ((0, 1), (0, 2)), level=0.001, grid=one)
+    assert found.freedom == 0
+
+
+def test_chi_squared_of_the_rational_gauge_is_that_of_its_degrees_of_freedom():
+    rng = np.random.default_rng(4)
+    clean = gains(PAPER, 1e-4)
+    chi2 = []
+    for _ in range(100):
+        logs = clean.log_gains + 1e-4 * rng.normal(size=9)
+        sums = clean.sums + 1e-4 * rng.normal(size=9)
+        found = fit_rational(PAPER, logs, clean.covariance, sums, clean.sum_errors, ((0, 2), (0, 2)))
+        assert found.freedom == 14
+        chi2.append(found.chi2)
+    # The mean of 100 has the standard error sqrt(2 * 14 / 100) = 0.53.
+    assert np.mean(chi2) == pytest.approx(14.0, abs=2.1)
 
 
 def test_too_few_data_for_the_coefficients():

@@ -8,24 +8,25 @@ import pytest
 from matplotlib.colors import to_rgba
 
 from hident import plugins
+from hident.arrays import Array
 from hident.config import spec
 from hident.config.spec import Flag, Real, component
 from hident.engine.experiment import load
 from hident.engine.results import Results, Series
 from hident.errors import ConfigError, EstimationError, SimulationError
 from hident.estimators.base import EstimatorSpec
-from hident.estimators.moving_horizon.searches import History, PartitionSearch, StructureSearch
+from hident.estimators.convergence import History
+from hident.estimators.moving_horizon.searches import PartitionSearch, StructureSearch
 from hident.ledger.verdicts import judge
-from hident.records import Array, Estimate, Record, Truth
-from hident.reports.convergence import iterates
-from hident.reports.distributions import percentile
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
+from hident.records import Estimate, Record, Truth
+from hident.reports.one_trial.convergence import iterates
+from hident.reports.one_trial.searches import contour_levels
+from hident.reports.one_trial.static_fits import StaticCurve
 from hident.reports.output import check
-from hident.reports.searches import contour_levels
-from hident.reports.static_fits import StaticCurve
 from hident.reports.style import style
+from hident.reports.tables.distributions import percentile
 from hident.systems.base import SystemSpec
-from hident.systems.continuous import ContinuousTransferFunction
-from hident.systems.linear import TransferFunction
 
 STEADY_INPUT, STEADY_OUTPUT = 15.6, 7.0
 LINEAR = ContinuousTransferFunction((1.0,), (2.0,))
@@ -94,7 +95,7 @@ class Stated(EstimatorSpec):
         names = ("a_1", "b_0", "u_-1", "u_1", "y_-1", "y_1")
         return frozenset({"response", "nonlinearity", "continuous", *(f"value {name}" for name in names)})
 
-    def fit(self, record, rng):
+    def fit(self, record, rng=None):
         if self.fails:
             raise EstimationError("the matrix is singular")
         if self.plain:
@@ -260,7 +261,7 @@ def make(tmp_path: Path):
             for label in unit.metric_labels:
                 found = (values or {}).get((label, *at), np.ones(5))
                 series.append(Series(unit, label, np.asarray(found, dtype=float)))
-        return Results(plan, 1, 5, tuple(series))
+        return Results(plan, tuple(series))
 
     return results
 

@@ -23,8 +23,8 @@ from hident.estimators.moving_horizon.static_functions import (
     powers,
     three_segments,
 )
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.records import Record
-from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.nonlinearity import ChenType1
 from tests.unit.multisteps import BLOCK, CUBIC, THREE_SEGMENTS, levels, record
 

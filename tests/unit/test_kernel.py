@@ -8,18 +8,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from hident.arrays import Array
 from hident.errors import EstimationError
 from hident.estimators.nonparametric.kernel import (
     Bandwidth,
     Kernel,
-    KernelEstimator,
+    KernelName,
     KernelRegression,
     kernel_regression,
 )
-from hident.records import Array, Record
+from hident.records import Record
 
 # The definitions of the paper and of the docstring, not those of the code under test.
-KERNELS: dict[Kernel, Callable[[Array], Array]] = {
+KERNELS: dict[KernelName, Callable[[Array], Array]] = {
     "window_half": lambda x: np.where(np.abs(x) <= 0.5, 1.0, 0.0),
     "window_unit": lambda x: np.where(np.abs(x) < 1.0, 1.0, 0.0),
     "triangular": lambda x: np.maximum(1.0 - np.abs(x), 0.0),
@@ -213,7 +214,7 @@ def test_error_falls_like_n_to_the_minus_two_fifths(kernel):
 def test_spec_fits_with_the_bandwidth_of_the_record():
     rng = np.random.default_rng(12)
     record = Record(rng.normal(size=32), rng.normal(size=32))
-    spec = KernelEstimator.model_validate(
+    spec = Kernel.model_validate(
         {"kernel": "window_unit", "bandwidth": {"h0": 0.5, "alpha": "1/5"}, "empty": "mean"}
     )
     points = np.linspace(-3.0, 3.0, 50)
@@ -243,7 +244,7 @@ def test_spec_fits_with_the_bandwidth_of_the_record():
 def test_wrong_fields(field, value, message):
     good = {"kernel": "gaussian", "bandwidth": {"h0": 1, "alpha": 0.2}}
     with pytest.raises(ValidationError) as error:
-        KernelEstimator.model_validate({**good, field: value})
+        Kernel.model_validate({**good, field: value})
     assert message in error.value.errors()[0]["msg"]
 
 

@@ -7,14 +7,13 @@ from pathlib import Path
 import pytest
 
 from hident.commands import export
-from hident.engine.executors import SerialExecutor
 from hident.engine.experiment import Plan
 from hident.engine.runner import run
 from hident.engine.store import Store
 from hident.errors import ConfigError
 from hident.ledger.accept import accept
 from hident.ledger.published import check_published
-from hident.reports.output import check, write
+from hident.reports.output import Outputs, check
 from tests.unit.plans import planned
 
 CONFIG = """\
@@ -120,9 +119,9 @@ def test_tables_figures_and_exports_do_without_it(plan, tmp_path: Path) -> None:
     found = plan(CONFIG + GRID + PUBLISHED)
     store = Store(tmp_path / "store")
     with store.writing() as writer:
-        results = run(found, writer, SerialExecutor(), 1, trials=3, seed=1)
+        results = run(found, store=writer)
     out = tmp_path / "out" / "a"
-    write(results, out, {})
+    Outputs(found, out).write(results, {})
     table = (out / "table.md").read_text()
     rows = [
         [cell.strip() for cell in line.split("|")] for line in table.splitlines() if line.startswith("| ")
@@ -179,6 +178,9 @@ def test_other_nulls_and_what_is_no_component_are_refused(refused, assignment: s
 
 FIT = "figures:\n  f: {kind: static_fit, x_label: u, y_label: v, panels: [{interval: [-1, 1], curves: %s}]}\n"
 SCATTER = "figures:\n  f: {kind: scatter, panels: [{x: %s, y: {estimator: kernel, metric: mise}}]}\n"
+REALISATION = (
+    "figures:\n  f: {kind: realisation, interval: [-1, 1], estimators: [%s], at: [{excitation: prbs}]}\n"
+)
 LIMIT = """\
 tables:
   t: {kind: limit, title: T, x: level, along: samples, metric: mise, below: 1, estimators: [%s]}
@@ -193,6 +195,10 @@ LEVEL = "  level: {1: {}, 2: {estimators.two-stage: null}}\n"
             FIT % "[{estimator: two-stage, at: {excitation: prbs}}]",
             "figures.f.panels[0].curves[0].estimator: "
             "the estimator 'two-stage' is left out at excitation prbs",
+        ),
+        (
+            REALISATION % "two-stage",
+            "figures.f.estimators[0]: the estimator 'two-stage' is left out at excitation prbs",
         ),
         (
             SCATTER % "{estimator: two-stage, metric: mise, at: {excitation: prbs}}",

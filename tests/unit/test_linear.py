@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
 from hident.config.spec import Of, components
-from hident.systems.linear import Ar, Arma, DiscreteSpec, Fir, TransferFunction
+from hident.linear_blocks import TransferFunction
+from hident.systems.linear import Ar, Arma, DiscreteSpec, Fir
 
 BLOCKS = (
     Ar(a=(0.8,), initial="zero"),

@@ -11,13 +11,13 @@ from hident.estimators.nonparametric.instrumental_variables import (
     InstrumentalVariables,
     instrumental_variables,
 )
-from hident.estimators.nonparametric.kernel import KernelEstimator, kernel_regression
+from hident.estimators.nonparametric.kernel import Kernel, kernel_regression
 from hident.estimators.nonparametric.known_dynamics import KnownDynamics
 from hident.estimators.nonparametric.least_squares import LeastSquares, least_squares
 from hident.estimators.nonparametric.orthogonal import Orthogonal
 from hident.estimators.nonparametric.prefilter import FilteredRecord, prefilter
+from hident.linear_blocks import TransferFunction
 from hident.records import Record
-from hident.systems.linear import TransferFunction
 from hident.systems.nonlinearity import Identity, Power
 
 AR2 = TransferFunction(a=(1.2, -0.5))
@@ -52,7 +52,6 @@ def test_constant_input_to_the_block_is_recovered_exactly():
         )
         assert block(estimate).b == (1.0,)
         assert block(estimate).a == (estimate.values["a_1"], estimate.values["a_2"])
-        assert 1.0 <= estimate.diagnostics["condition"] < 1e6
 
 
 @pytest.mark.parametrize("p", [1, 3])
@@ -88,7 +87,6 @@ def test_unit_of_the_output_does_not_matter():
         plain, scaled = estimate(y), estimate(1e-9 * y)
         np.testing.assert_allclose(block(scaled).a, block(plain).a, rtol=1e-9)
         assert scaled.values["c"] == pytest.approx(1e-9 * plain.values["c"], rel=1e-9)
-        assert scaled.diagnostics["condition"] == pytest.approx(plain.diagnostics["condition"], rel=1e-6)
 
 
 def test_instrumental_variables_are_consistent_under_noise_where_least_squares_is_not():
@@ -245,9 +243,7 @@ def test_order_of_a_filtered_record_is_that_of_its_input():
 
 
 def kernel_spec(**fields):
-    return KernelEstimator.model_validate(
-        {"kernel": "window_unit", "bandwidth": {"h0": 0.5, "alpha": 0.2}, **fields}
-    )
+    return Kernel.model_validate({"kernel": "window_unit", "bandwidth": {"h0": 0.5, "alpha": 0.2}, **fields})
 
 
 INSTRUMENTS = {"kind": "instrumental_variables", "order": 1, "instrument": "identity"}
@@ -262,7 +258,6 @@ def test_prefiltered_kernel_is_the_two_stage_method():
     estimate = spec.fit(Record(u, y), RNG)
     step1 = instrumental_variables(y, u, 1)
     assert estimate.values == step1.values and estimate.linear == step1.linear
-    assert estimate.diagnostics == step1.diagnostics
     points = np.linspace(-2.0, 2.0, 41)
     filtered = y[1:] - step1.values["a_1"] * y[:-1]
     expected = kernel_regression(
@@ -329,7 +324,7 @@ def test_prefilter_without_a_linear_block_is_refused():
         (KnownDynamics, {"b": [0, 0]}, ("b",), "must have a coefficient other than zero"),
         (KnownDynamics, {"b": []}, ("b",), "must be a list of at least one number"),
         (
-            KernelEstimator,
+            Kernel,
             {"prefilter": {**INSTRUMENTS, "order": 0}},
             ("prefilter", "order"),
             "must be greater",
@@ -337,7 +332,7 @@ def test_prefilter_without_a_linear_block_is_refused():
     ],
 )
 def test_wrong_fields(cls, fields, where, message):
-    if cls is KernelEstimator:
+    if cls is Kernel:
         fields = {"kernel": "gaussian", "bandwidth": {"h0": 1, "alpha": 0.2}, **fields}
     with pytest.raises(ValidationError) as error:
         cls.model_validate(fields)

@@ -7,10 +7,10 @@ import pytest
 from pydantic import ValidationError
 
 from hident.errors import EstimationError
-from hident.estimators.moving_horizon.iterative import padded, second_horizon
+from hident.estimators.moving_horizon.iterative import padded
 from hident.estimators.moving_horizon.linear_model import LinearModel
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.records import Record
-from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.nonlinearity import ChenType1
 from tests.unit.multisteps import BLOCK, record
 
@@ -101,12 +101,6 @@ def test_parameters_are_padded_by_name():
         "first_b_0": 2.0,
         "first_b_1": 0.0,
     }
-
-
-def test_the_second_horizon_is_a_share_of_the_settling_time_unless_given():
-    settling = BLOCK.settling_time()
-    assert second_horizon(BLOCK, 0.5, None) == (settling, 0.5 * settling)
-    assert second_horizon(BLOCK, 0.5, 7.0) == (settling, 7.0)
 
 
 def test_a_delay_as_long_as_the_record_is_refused():

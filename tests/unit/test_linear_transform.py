@@ -19,7 +19,7 @@ from hident.estimators.moving_horizon.linear_transform import (
     search_structure,
 )
 from hident.estimators.moving_horizon.sandwich import influence, standard_errors
-from hident.systems.continuous import ContinuousTransferFunction
+from hident.linear_blocks import ContinuousTransferFunction
 from tests.unit.multisteps import BLOCK, levels, record
 
 QUICK = settings(deadline=None, derandomize=True, max_examples=20)

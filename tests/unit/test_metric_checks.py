@@ -9,13 +9,12 @@ from hident import plugins
 from hident.config.spec import Of
 from hident.engine.trial import Data, generate, run_trials
 from hident.errors import EstimationError, SimulationError
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 from hident.metrics.disturbance import DisturbanceVariance
 from hident.metrics.frequency import MovedDelay, ResponseError
 from hident.metrics.models import LinearPercentError, discretised_percent_error, fit_error
 from hident.records import Estimate, Held, Part, Record, Truth
 from hident.systems.base import SystemSpec
-from hident.systems.continuous import ContinuousTransferFunction
-from hident.systems.linear import TransferFunction
 from tests.unit.plans import planned, refusals, replaced
 
 plugins.load()

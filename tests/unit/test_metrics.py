@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hident.linear_blocks import TransferFunction
 from hident.metrics.disturbance import DisturbanceVariance, DisturbanceVarianceFormula
 from hident.metrics.nonlinearity import IntegratedSquaredError, NonlinearityPercentError, quadrature
 from hident.metrics.values import Coverage, Error, PercentError, Share, Value
 from hident.records import Estimate, Record, Truth
-from hident.systems.linear import TransferFunction
 from hident.systems.nonlinearity import Mzyk2009
 
 PI2 = (-2 * np.pi, 2 * np.pi)

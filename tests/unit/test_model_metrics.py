@@ -7,13 +7,11 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.signal import cont2discrete
 
-from hident.metrics.models import LinearPercentError, fit_error
-from hident.metrics.models import ValidationError as ResponseError
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
+from hident.metrics.models import LinearPercentError, ValidationPercentError, fit_error
 from hident.metrics.values import TrueValue
 from hident.records import Estimate, Record, Truth
 from hident.signals.excitation import Multistep
-from hident.systems.continuous import ContinuousTransferFunction
-from hident.systems.linear import TransferFunction
 from tests.unit.multisteps import BLOCK
 
 QUICK = settings(deadline=None, derandomize=True, max_examples=20)
@@ -82,8 +80,8 @@ class TestLinearPercentError:
             LinearPercentError(step=0)
 
 
-class TestValidationError:
-    METRIC = ResponseError(excitation=Multistep(switching_time=1, std=1), samples=300)
+class TestValidationPercentError:
+    METRIC = ValidationPercentError(excitation=Multistep(switching_time=1, std=1), samples=300)
 
     def score(self, response, metric=METRIC):
         truth = Truth(response=BLOCK.respond)

@@ -11,9 +11,9 @@ from pydantic import ValidationError
 from scipy import stats
 
 from hident.config.spec import Of, Spec, components
+from hident.linear_blocks import TransferFunction
 from hident.signals.base import NoiseSpec
 from hident.signals.noise import Autoregressive, Rounding, White
-from hident.systems.linear import TransferFunction
 
 N = 100_000
 ONE_OF_EACH: list[NoiseSpec] = [

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from pydantic import TypeAdapter, ValidationError
 
+from hident.arrays import Characteristic
 from hident.config.spec import Of, components
-from hident.records import Characteristic
+from hident.linear_blocks import TransferFunction
 from hident.systems import nonlinearity as own
 from hident.systems.base import NonlinearitySpec
-from hident.systems.linear import TransferFunction
 
 spec: TypeAdapter[NonlinearitySpec] = TypeAdapter(Annotated[NonlinearitySpec, Of("nonlinearity")])
 quick = settings(deadline=None, derandomize=True, max_examples=50)

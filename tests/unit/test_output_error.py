@@ -15,7 +15,7 @@ from hident.estimators.moving_horizon.four_segment import (
     forward_slope,
 )
 from hident.estimators.moving_horizon.output_error import refine_hammerstein, refine_wiener, sensitivities
-from hident.systems.continuous import ContinuousTransferFunction
+from hident.linear_blocks import ContinuousTransferFunction
 
 DT = 0.1
 BLOCK = ContinuousTransferFunction((1.0, -1.0), (4.0, 4.0, 3.0), 2.0)

@@ -1,5 +1,6 @@
 """Tables and figures of named parameters."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -78,16 +79,16 @@ def make(tmp_path: Path):
     rows = "T,r,mean,2.0,\nT,r,std,1.5,\nT,s,std,0.5,\n"
     (paper / "published.csv").write_text("table,row,quantity,printed,note\n" + rows)
 
-    def results(table: str = "e") -> Results:
+    def results(table: str = "e", change: tuple[str, str] = ("", "")) -> Results:
         path = tmp_path / "c.yaml"
-        path.write_text(CONFIG.replace("TABLE", table))
+        path.write_text(CONFIG.replace("TABLE", table).replace(*change))
         plan = load(path)
         series = tuple(
             Series(unit, label, np.array(VALUES.get((unit.name, label), [7.0, 7.0, 7.0])))
             for unit in plan.units
             for label in unit.metric_labels
         )
-        return Results(plan, 1, 3, series)
+        return Results(plan, series)
 
     return results
 
@@ -142,3 +143,25 @@ def test_an_efficiency_figure_needs_its_table(make):
         check(make("t").plan)
     with pytest.raises(ConfigError, match=r"figures.e.table: there is no table 'nothing'"):
         make("nothing")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            ("    bound: bound", "    bound: one"),
+            "tables.e.of[0]: the metric 'least se_a_1' does not score the estimator 'one'",
+        ),
+        (
+            ("estimators: [one]\n    bound", "estimators: [bound]\n    bound"),
+            "tables.e.of[0]: the metric 'error a_1' does not score the estimator 'bound'",
+        ),
+        (
+            ("    bound_metric: least", "    bound_metric: last"),
+            "tables.e.of[0]: there is no metric 'last se_a_1'; did you mean 'least se_a_1'?",
+        ),
+    ],
+)
+def test_an_efficiency_needs_what_its_estimators_and_its_bound_are_scored_by(make, change, message):
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        check(make(change=change).plan)

@@ -11,8 +11,8 @@ from hident.estimators.bilinear_models.separable import (
     separable_least_squares,
     start,
 )
+from hident.linear_blocks import TransferFunction
 from hident.records import Record
-from hident.systems.linear import TransferFunction
 
 RNG = np.random.default_rng(0)
 B, C = np.array([0.6, -0.8]), np.array([1.0, -0.5, 0.25])
@@ -59,7 +59,7 @@ def test_derivative():
         h = 1e-6
         above, below = (inner_solution(f + s * e, phi, y, 2).loss for s in (h, -h))
         slope = (above - below) / (2 * h)
-        assert -2.0 * at.residuals @ at.derivative[:, k] == pytest.approx(slope, rel=1e-5)
+        assert -2.0 * at.residuals @ at.jacobian[:, k] == pytest.approx(slope, rel=1e-5)
 
 
 def test_solution_is_stationary():
@@ -67,8 +67,8 @@ def test_solution_is_stationary():
     phi, y = regressors(np.array([x, x**2, x**3]), 2), y[2:]
     found, iterations = separable_least_squares(phi, y, 2, 2)
     assert iterations > 1
-    size = np.linalg.norm(found.derivative, axis=0) * np.linalg.norm(y)
-    np.testing.assert_allclose(found.derivative.T @ found.residuals / size, 0.0, atol=1e-9)
+    size = np.linalg.norm(found.jacobian, axis=0) * np.linalg.norm(y)
+    np.testing.assert_allclose(found.jacobian.T @ found.residuals / size, 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.7])

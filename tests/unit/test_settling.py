@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.stats import gamma
 
-from hident.systems.continuous import ContinuousTransferFunction
+from hident.linear_blocks import ContinuousTransferFunction
 
 QUICK = settings(deadline=None, derandomize=True, max_examples=60)
 

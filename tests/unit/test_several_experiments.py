@@ -14,10 +14,10 @@ from hident.estimators.base import EstimatorSpec
 from hident.estimators.bilinear_models.ar_noise import METHODS, ArModel
 from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
 from hident.estimators.nonparametric.prefilter import FilteredRecord, prefilter
+from hident.linear_blocks import TransferFunction
 from hident.metrics.disturbance import DisturbanceVariance
 from hident.numerics.parts import following, in_each, joined, longer_than, whole
 from hident.records import Estimate, Held, Part, Record
-from hident.systems.linear import TransferFunction
 from tests.unit.plans import planned, replaced
 
 plugins.load()
@@ -292,7 +292,7 @@ def newcomer():
             def provides(self):
                 return frozenset({"value b_1"})
 
-            def fit(self, record, rng):
+            def fit(self, record, rng=None):
                 return Estimate(values={"b_1": float(np.mean(np.diff(record.y)))})
 
     return "newcomer"

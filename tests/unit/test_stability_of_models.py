@@ -5,16 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from hident.metrics.models import SettlingTime, ValidationError, has_stable_block
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
+from hident.metrics.models import SettlingTime, ValidationPercentError, has_stable_block
 from hident.records import Estimate, Record, Truth
 from hident.signals.excitation import Staircase
-from hident.systems.continuous import ContinuousTransferFunction
-from hident.systems.linear import TransferFunction
 
 LAG = ContinuousTransferFunction((3.0,), (2.0,), delay=0.7)
 UNSTABLE = ContinuousTransferFunction((3.0,), (-2.0,))
 RECORD = Record(np.zeros(3), np.zeros(3), 0.1, Truth(response=LAG.respond))
-STEPS = ValidationError(excitation=Staircase(levels=(0, 1), hold=1), samples=40)
+STEPS = ValidationPercentError(excitation=Staircase(levels=(0, 1), hold=1), samples=40)
 
 
 @pytest.mark.parametrize("band", [0.05, 0.02])

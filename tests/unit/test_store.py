@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hident.arrays import Array
 from hident.engine.store import Store, Trial
 from hident.errors import StoreBusy, StoreError
-from hident.records import Array
 
 _VALUES = np.array([0.1, -0.0, np.inf, np.nan, 5e-324])
 

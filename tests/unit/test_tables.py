@@ -7,7 +7,7 @@ import pytest
 
 from hident.ledger.verdicts import judge
 from hident.reports.base import Table, TableSpec
-from hident.reports.tables import written
+from hident.reports.tables.writing import written
 from tests.unit.results_maker import PUBLISHED, made
 
 GRID = """
@@ -167,7 +167,7 @@ def test_a_distance_needs_its_printed_numbers(tmp_path, kind):
     ]
     homeless = replace(plan, experiment=plan.experiment.model_copy(update={"paper": None}))
     assert list(spec.misfits(homeless)) == [
-        ("cells", "needs 'paper', the folder under experiments/ with the numbers")
+        (("cells",), "needs 'paper', the folder under experiments/ with the numbers")
     ]
 
 

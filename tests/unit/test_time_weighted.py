@@ -10,7 +10,7 @@ from numpy.polynomial import Polynomial
 from scipy.integrate import quad
 
 from hident.estimators.moving_horizon.time_weighted import SMOOTH, Horizons, Knots, fewest_samples
-from hident.systems.continuous import ContinuousTransferFunction
+from hident.linear_blocks import ContinuousTransferFunction
 
 QUICK = settings(deadline=None, derandomize=True, max_examples=30)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hident import plugins
+from hident.arrays import Array
 from hident.config.spec import component
 from hident.engine.experiment import load
 from hident.engine.trial import Data, Job, Outcome, digest, generate, run_trials
@@ -17,7 +18,7 @@ from hident.estimators.base import EstimatorSpec
 from hident.estimators.nonparametric.least_squares import LeastSquares
 from hident.metrics.base import MetricSpec
 from hident.metrics.values import Value
-from hident.records import Array, Estimate, Record, Truth
+from hident.records import Estimate, Record, Truth
 from hident.signals.base import NoiseSpec
 from hident.signals.streams import Role
 from hident.systems.base import SystemSpec
@@ -40,7 +41,7 @@ class Witness(EstimatorSpec):
     def provides(self) -> frozenset[str]:
         return frozenset({"value a_1"})
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         match self.raises:
             case "estimation":
                 raise EstimationError("diverged")
@@ -54,6 +55,7 @@ class Witness(EstimatorSpec):
                 raise SystemExit(1)
             case "u" | "y":
                 getattr(record, self.raises)[0] = 0.0
+        assert rng is not None
         self.seen.append((record, rng.random()))
         return Estimate(values={"a_1": self.gain})
 

@@ -76,6 +76,13 @@ def test_more_than_likely_has_at_most_the_chance(moved, perturbed):
     assert most == 0 or np.mean(drawn > most - 1) >= 0.0085
 
 
+@pytest.mark.parametrize("trials", [1, 2, 5])
+def test_of_few_trials_not_all_may_move_where_none_has(trials):
+    assert Count(trials, trials, 0).likely(trials, 1e-9) == trials - 1
+    assert Count(trials, trials, trials).likely(trials, 1e-9) == trials
+    assert Count(trials, 0, 0).likely(trials, 1e-9) == 0
+
+
 def test_what_moves_in_any_metric_counts_once():
     plain = values(e_m=[1.0, 2.0, 3.0], e_n=[1.0, 2.0, 3.0], f_m=[1.0, np.nan, 3.0])
     first = values(e_m=[1.1, 2.0, 3.0], e_n=[1.1, 2.0, 3.1], f_m=[1.0, np.nan, 3.0 + 1e-9])

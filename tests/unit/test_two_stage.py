@@ -18,9 +18,9 @@ from hident.estimators.bilinear_models.bilinear import (
     root_of,
 )
 from hident.estimators.bilinear_models.bounds import CramerRao, KnownNonlinearity
-from hident.estimators.bilinear_models.two_stage import TwoStageAlgorithm, leading, two_stage
+from hident.estimators.bilinear_models.two_stage import TwoStage, leading, two_stage
+from hident.linear_blocks import TransferFunction
 from hident.records import Record, Truth
-from hident.systems.linear import TransferFunction
 from hident.systems.nonlinearity import Polynomial
 
 RNG = np.random.default_rng(0)
@@ -51,7 +51,7 @@ def simulated(seed, noise=0.0, samples=100, a=A, b=B):
 
 
 def spec(**fields):
-    return TwoStageAlgorithm.model_validate({"lags": 2, "degree": 5, **fields})
+    return TwoStage.model_validate({"lags": 2, "degree": 5, **fields})
 
 
 @pytest.mark.parametrize("delay", [0, 1, 3])
@@ -94,7 +94,6 @@ def test_spec_recovers_the_system():
         estimate.nonlinearity(points), Polynomial(coefficients=(0, *A))(points), atol=1e-9
     )
     assert estimate.values["loss"] < 1e-18 * float(record.y @ record.y)
-    assert estimate.diagnostics["singular_value_ratio"] < 1e-12
 
 
 def test_any_basis_and_delay():
@@ -104,7 +103,7 @@ def test_any_basis_and_delay():
     y[3:] = 0.8 * (2.0 * np.abs(x[:-3]) - np.tanh(x[:-3]))
     y[4:] += 0.6 * (2.0 * np.abs(x[:-4]) - np.tanh(x[:-4]))
     basis = ["abs", {"kind": "expression", "expression": "tanh(u)"}]
-    found = TwoStageAlgorithm.model_validate({"lags": 2, "basis": basis, "delay": 3}).fit(Record(x, y), RNG)
+    found = TwoStage.model_validate({"lags": 2, "basis": basis, "delay": 3}).fit(Record(x, y), RNG)
     assert found.values["b_3"] == pytest.approx(0.8, abs=1e-12)
     assert found.values["b_4"] == pytest.approx(0.6, abs=1e-12)
     assert found.values["a_1"] == pytest.approx(2.0, abs=1e-12)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from hident.errors import EstimationError
-from hident.estimators.moving_horizon.searches import History
+from hident.estimators.convergence import History
 from hident.estimators.voros_hammerstein import (
     Rule,
     Structure,
@@ -18,8 +18,8 @@ from hident.estimators.voros_hammerstein import (
     voros_hammerstein,
 )
 from hident.estimators.voros_wiener import VorosWiener, voros_wiener
+from hident.linear_blocks import TransferFunction
 from hident.records import Record
-from hident.systems.linear import TransferFunction
 
 RNG = np.random.default_rng(0)
 LINEAR = TransferFunction(b=(0.0, 1.0, 0.5), a=(0.9, -0.3))

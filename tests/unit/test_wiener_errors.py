@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hident.estimators.moving_horizon.iterative_wiener import IterativeWiener
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.records import Record
-from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.nonlinearity import PiecewiseLinear
 
 DT, SAMPLES, TRIALS = 0.1, 1201, 120

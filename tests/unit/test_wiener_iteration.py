@@ -7,7 +7,7 @@ from hident.estimators.moving_horizon import wiener_stage
 from hident.estimators.moving_horizon.batched_blocks import responses, time_constants
 from hident.estimators.moving_horizon.wiener_iteration import FourSegments, Powers, Rule, iterate
 from hident.estimators.moving_horizon.wiener_stage import search_partition
-from hident.systems.continuous import ContinuousTransferFunction
+from hident.linear_blocks import ContinuousTransferFunction
 from tests.unit.wiener_records import TRUTH, cubic, record, wiener
 
 

@@ -7,8 +7,8 @@ from hident.config.spec import Of
 from hident.estimators.moving_horizon.four_segment import FourSegment
 from hident.estimators.moving_horizon.time_weighted import Horizons
 from hident.estimators.moving_horizon.wiener_iteration import Wiener
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.records import Record
-from hident.systems.continuous import ContinuousTransferFunction
 
 plugins.load()
 

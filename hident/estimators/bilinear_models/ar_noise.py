@@ -20,11 +20,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, Real, Spec
 from hident.errors import EstimationError
 from hident.numerics.choices import TIE, first_least
 from hident.numerics.parts import Parts, in_each, longer_than, whole
-from hident.records import Array
 
 
 @dataclass(frozen=True, eq=False)

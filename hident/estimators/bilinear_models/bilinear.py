@@ -21,9 +21,9 @@ from typing import Self
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from hident.arrays import Array
 from hident.errors import EstimationError
-from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
-from hident.records import Array
+from hident.numerics.least_squares import Factorisation, lengths
 
 Root = Callable[[Array], Array]
 """Multiplies rows (N,) or (N, K) by F from the left, giving (M,) or (M, K)."""
@@ -83,7 +83,7 @@ class Regression:
     """The weighted regressors F Phi = Q R, factored once for the outputs of any number of trials.
 
     ``phi`` has shape (rows, n m), ``q`` (M, n m), ``r`` and its inverse ``g`` (n m, n m); so
-    (Phi'W Phi)^-1 = g g'. ``condition`` is the condition number of F Phi with columns of length one.
+    (Phi'W Phi)^-1 = g g'.
     """
 
     phi: Array
@@ -92,7 +92,6 @@ class Regression:
     q: Array
     r: Array
     g: Array
-    condition: float
 
     @classmethod
     def of(cls, phi: Array, n: int, root: Root = identity, delay: int = 1) -> Self:
@@ -110,14 +109,11 @@ class Regression:
                 f"{len(phi)} equations cannot determine {phi.shape[1]} coefficients: "
                 "use a longer record, fewer lags or fewer basis functions"
             )
-        length = lengths(weighted)
-        q, r = np.linalg.qr(weighted / length)
-        _, singular_values, right = np.linalg.svd(r)
-        null = singular_values * ILL_CONDITIONED <= singular_values[0]
-        if null.any():
-            raise EstimationError(_dependence(phi, n, delay, right[null]))
-        g = np.linalg.solve(r, np.eye(len(r))) / length[:, None]
-        return cls(phi, n, root, q, r * length, g, float(singular_values[0] / singular_values[-1]))
+        factors = Factorisation.of(weighted)
+        if len(null := factors.null):
+            raise EstimationError(_dependence(phi, n, delay, null))
+        upper = factors.r * factors.length
+        return cls(phi, n, root, factors.q, upper, factors.inverse_root)
 
     def projected(self, y: Array) -> Array:
         """Q'F y: all that the estimates need of ``y`` (rows,) or (rows, T)."""
@@ -191,13 +187,6 @@ def loss(regression: Regression, y: Array, b: Array, a: Array, root: Root) -> Ar
     """r'W r for the residuals r of b (..., n) and a (..., m): what the paper prints, without (10)'s 1/2."""
     weighted = root(regression.residuals(y, b[..., :, None] * a[..., None, :]))
     return np.asarray(np.sum(weighted**2, axis=0))
-
-
-def lengths(columns: Array) -> Array:
-    """Euclidean lengths of the columns, 1 for a column of zeros."""
-    found: Array = np.linalg.norm(columns, axis=0)
-    found[found == 0.0] = 1.0
-    return found
 
 
 def _dependence(phi: Array, n: int, delay: int, null: Array) -> str:

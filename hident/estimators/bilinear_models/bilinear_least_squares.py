@@ -11,13 +11,14 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, Flag, Real, Spec, component
 from hident.estimators.bilinear_models.bilinear import Regression, loss, normalised
 from hident.estimators.bilinear_models.two_stage import Weighted, WeightedBilinearSpec, two_stage
 from hident.estimators.convergence import Unconverged, settle
-from hident.records import Array, Estimate, Record
-
-_HALVINGS = 40
+from hident.numerics.gauss_newton import gauss_newton
+from hident.numerics.least_squares import Factorisation
+from hident.records import Estimate, Record
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +50,7 @@ def covariance_root(regression: Regression, b: Array, a: Array) -> Array:
     """
     tangent = complement(np.concatenate([b, np.zeros_like(a)]))
     derivative = jacobian(regression.r, b, a) @ tangent
-    length = np.linalg.norm(derivative, axis=0)
-    upper = np.linalg.qr(derivative / length).R
-    return np.asarray((tangent / length) @ np.linalg.solve(upper, np.eye(len(upper))))
+    return np.asarray(tangent @ Factorisation.of(derivative).inverse_root)
 
 
 def bilinear_least_squares(
@@ -92,35 +91,40 @@ def bilinear_least_squares(
     operations whatever the number of samples.
     """
     r, z = regression.r, regression.projected(y)
-    # Losses closer than this differ by rounding only.
-    rounding = 1e-14 * float(z @ z)
 
-    def residual(b: Array, a: Array) -> Array:
-        return z - r @ np.outer(a, b).ravel()
-
-    left = residual(b, a)
-    for iteration in range(max_iterations):
+    def at(b: Array, a: Array) -> _Point:
         # The direction that leaves b a' as it is (b grows, a shrinks), or assumption 1's normal.
-        held = np.concatenate([b, np.zeros_like(a) if normalise else -a])
-        tangent = complement(held)
-        factor = np.linalg.qr(jacobian(r, b, a) @ tangent)
-        change = factor.Q.T @ left
-        step = tangent @ np.linalg.solve(factor.R, change)
-        small = bool(np.linalg.norm(change) <= tolerance * np.linalg.norm(z - left))
-        for _ in range(_HALVINGS):
-            new_b, new_a = b + step[: len(b)], a + step[len(b) :]
-            if normalise:
-                new_b, new_a = normalised(new_b, new_a)
-            new = residual(new_b, new_a)
-            if new @ new <= left @ left + rounding:
-                break
-            step = 0.5 * step
-        else:
-            return Solution(b, a, iteration, False)
-        b, a, left = new_b, new_a, new
-        if small:
-            return Solution(b, a, iteration + 1, True)
-    return Solution(b, a, max_iterations, False)
+        tangent = complement(np.concatenate([b, np.zeros_like(a) if normalise else -a]))
+        return _Point(b, a, z - r @ np.outer(a, b).ravel(), jacobian(r, b, a) @ tangent, tangent)
+
+    def moved(point: _Point, step: Array) -> _Point:
+        by_b, by_a = np.split(point.tangent @ step, [len(b)])
+        new = point.b + by_b, point.a + by_a
+        return at(*(normalised(*new) if normalise else new))
+
+    found = gauss_newton(
+        at(b, a),
+        moved,
+        lambda point, length: length <= tolerance * float(np.linalg.norm(z - point.residuals)),
+        max_iterations=max_iterations,
+        # Losses closer than this differ by rounding only.
+        slack=1e-14 * float(z @ z),
+        step_at_rest=True,
+    )
+    return Solution(found.point.b, found.point.a, found.iterations, found.status == "converged")
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    b: Array
+    a: Array
+    residuals: Array
+    jacobian: Array
+    tangent: Array
+
+    @property
+    def loss(self) -> float:
+        return float(self.residuals @ self.residuals)
 
 
 class Stop(Spec):
@@ -151,7 +155,7 @@ class BilinearLeastSquares(WeightedBilinearSpec):
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset({"nonlinearity", "linear"} if self.start == "truth" else ())
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         phi, y, parts = self.data(record)
         weighted = self.weighted(phi, y, parts)
         regression = weighted.regression

@@ -8,6 +8,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Of, Real, component
 from hident.estimators.bilinear_models.ar_noise import ArModel
 from hident.estimators.bilinear_models.bilinear import Regression, identity
@@ -15,7 +16,7 @@ from hident.estimators.bilinear_models.bilinear_least_squares import covariance_
 from hident.estimators.bilinear_models.known_basis import BilinearSpec
 from hident.estimators.bilinear_models.two_stage import KnownAr, WeightedSpec
 from hident.estimators.normalisation import Normalisation, known_function
-from hident.records import Array, Estimate, Record
+from hident.records import Estimate, Record
 from hident.systems.base import NonlinearitySpec
 
 
@@ -43,14 +44,12 @@ class CramerRao(BilinearSpec):
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset({"nonlinearity", "linear"})
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         phi, parts = self.design(record)
         root = partial(ArModel(np.array(self.noise.a)).whiten, parts=parts) if self.noise else identity
         regression = Regression.of(phi, self.lags, root, self.delay)
         bounds = cramer_rao(regression, *self.true_parameters(record), self.variance)
-        return Estimate(
-            values=self.named(*bounds, prefix="se_"), diagnostics={"condition": regression.condition}
-        )
+        return Estimate(values=self.named(*bounds, prefix="se_"))
 
 
 @component("estimator", "known_nonlinearity")
@@ -71,7 +70,7 @@ class KnownNonlinearity(WeightedSpec):
         values = {f"value {prefix}{name}" for name in names for prefix in ("", "se_")}
         return self.noise_names() | values | {"linear", "nonlinearity"}
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         phi, y, parts = self.data(record)
         weighted = self.weighted(phi, y, parts)
         theta = weighted.regression.theta(y)
@@ -84,5 +83,4 @@ class KnownNonlinearity(WeightedSpec):
             nonlinearity=self.nonlinearity,
             linear=self.linear(b),
             values=named | weighted.order_value(),
-            diagnostics={"condition": white.condition},
         )

@@ -11,15 +11,17 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from hident.arrays import Array
 from hident.config.spec import Count, Of
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
-from hident.estimators.bilinear_models.bilinear import Regression, lengths, normalised, regressors
+from hident.estimators.bilinear_models.bilinear import Regression, normalised, regressors
 from hident.estimators.normalisation import Normalisation, unit_length
+from hident.linear_blocks import TransferFunction
+from hident.numerics.least_squares import Factorisation
 from hident.numerics.parts import Parts, following, in_each, longer_than
-from hident.records import Array, Record
+from hident.records import Record
 from hident.systems.base import NonlinearitySpec
-from hident.systems.linear import TransferFunction
 from hident.systems.nonlinearity import Power
 
 
@@ -170,8 +172,7 @@ class BilinearSpec(LaggedSpec):
         b = np.zeros(self.lags)
         b[: len(response) - self.delay] = response[self.delay :]
         basis, w = self.basis_values(record.u), truth.nonlinearity(record.u)
-        scale = lengths(basis.T)
-        a = np.linalg.lstsq((basis / scale[:, None]).T, w, rcond=None)[0] / scale
+        a = Factorisation.of(basis.T).solution(w)
         if np.linalg.norm(a @ basis - w) > 1e-9 * np.linalg.norm(w):
             raise EstimationError("the true nonlinearity is not a combination of the basis functions")
         return normalised(b, a)

@@ -22,6 +22,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
 from hident.estimators.bilinear_models.bilinear import Regression
@@ -32,14 +33,14 @@ from hident.estimators.bilinear_models.bilinear_least_squares import (
 )
 from hident.estimators.bilinear_models.known_basis import BilinearSpec
 from hident.estimators.bilinear_models.two_stage import two_stage
-from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
 from hident.estimators.normalisation import Normalisation, unit_length
+from hident.linear_blocks import TransferFunction
+from hident.numerics.gauss_newton import gauss_newton
+from hident.numerics.least_squares import Factorisation
 from hident.numerics.parts import Parts, in_each, whole
-from hident.records import Array, Estimate, Record
-from hident.systems.linear import TransferFunction
+from hident.records import Estimate, Record
 
 _PREFILTERINGS = 10
-_HALVINGS = 40
 _EDGE = 0.999
 """Modulus that a pole of the first estimates may reach."""
 
@@ -57,7 +58,7 @@ class Inner:
     a: Array
     residuals: Array
     output: Array
-    derivative: Array
+    jacobian: Array
     tangent: Array
 
     @property
@@ -112,15 +113,13 @@ def start(phi: Array, y: Array, p: int, parts: Parts | None = None) -> Array:
     for _ in range(1 + _PREFILTERINGS):
         filtered = _filtered(f, np.column_stack([y, phi, _impulses(p, parts)]), parts)
         columns = np.column_stack([_delayed(filtered[:, 0], p, parts), filtered[:, 1:]])
-        length = np.linalg.norm(columns, axis=0)
-        length[length == 0.0] = 1.0
-        found, _, _, singular_values = np.linalg.lstsq(columns / length, filtered[:, 0], rcond=None)
-        if singular_values[-1] * ILL_CONDITIONED <= singular_values[0]:
+        regression = Factorisation.of(columns)
+        if regression.is_dependent:
             raise EstimationError(
                 "past outputs and inputs are linearly dependent: the input varies too little, "
                 f"or the feedback order {p} is too high"
             )
-        new = _stabilised(found[:p] / length[:p])
+        new = _stabilised(regression.solution(filtered[:, 0])[:p])
         if np.allclose(new, f, rtol=0.0, atol=1e-12):
             return new
         f = new
@@ -221,28 +220,26 @@ def separable_least_squares(
     Consistent for an output noise of any colour that is independent of the input, efficient for a white
     Gaussian one. The derivative by f is that of variable projection in Kaufman's form.
     """
-    current = inner_solution(start(phi, y, p, parts), phi, y, n, parts=parts)
-    rounding = 1e-14 * float(y @ y)
-    for made in range(1, max_iterations + 1):
-        rest = np.linalg.qr(current.derivative[:, p:]).Q
-        outer = current.derivative[:, :p]
-        outer = outer - rest @ (rest.T @ outer)
-        factor = np.linalg.qr(outer)
-        change = factor.Q.T @ current.residuals
-        step = np.linalg.solve(factor.R, change)
-        small = np.linalg.norm(change) <= tolerance * np.linalg.norm(current.output)
-        for _ in range(_HALVINGS):
-            if TransferFunction(a=tuple(current.f + step)).is_stable():
-                new = inner_solution(current.f + step, phi, y, n, (current.b, current.a), parts)
-                if new.loss <= current.loss + rounding:
-                    break
-            step = 0.5 * step
-        else:
-            break
-        current = new
-        if small:
-            return current, made
-    raise EstimationError(f"the feedback coefficients have not converged in {made} iterations")
+
+    def moved(current: Inner, step: Array) -> Inner | None:
+        f = current.f + step[:p]
+        if not TransferFunction(a=tuple(f)).is_stable():
+            return None
+        return inner_solution(f, phi, y, n, (current.b, current.a), parts)
+
+    found = gauss_newton(
+        inner_solution(start(phi, y, p, parts), phi, y, n, parts=parts),
+        moved,
+        lambda current, length: length <= tolerance * float(np.linalg.norm(current.output)),
+        max_iterations=max_iterations,
+        slack=1e-14 * float(y @ y),
+        step_at_rest=True,
+    )
+    if found.status != "converged":
+        raise EstimationError(
+            f"the feedback coefficients have not converged in {found.iterations} iterations"
+        )
+    return found.point, found.iterations
 
 
 @component("estimator", "separable_least_squares", source="Wang, Zhang, Ljung 2009, section 2")
@@ -266,7 +263,7 @@ class SeparableLeastSquares(BilinearSpec):
         values = {f"value {prefix}{name}" for name in self._parameters() for prefix in ("", "se_")}
         return frozenset(values | {"value loss", "value iterations", "linear", "nonlinearity"})
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         phi, y, parts = self.data(record)
         p, n = self.feedback, self.lags
         Regression.of(phi, n, delay=self.delay)
@@ -286,11 +283,9 @@ class SeparableLeastSquares(BilinearSpec):
     def _standard_errors(self, found: Inner) -> Array:
         """Those of f, b and a under white noise, shape (p + n + m,)."""
         p, k = len(found.f), found.tangent.shape[1]
-        length = np.linalg.norm(found.derivative, axis=0)
-        upper = np.linalg.qr(found.derivative / length).R
-        root = np.linalg.solve(upper, np.eye(len(upper))) / length[:, None]
+        root = Factorisation.of(found.jacobian).inverse_root
         root = np.vstack([root[:p], found.tangent @ root[p : p + k]])
-        rows, columns = found.derivative.shape
+        rows, columns = found.jacobian.shape
         return np.asarray(np.sqrt(found.loss / (rows - columns)) * np.linalg.norm(root, axis=1))
 
     def _parameters(self) -> list[str]:

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator
 
+from hident.arrays import Array
 from hident.config.spec import Real, Spec, component
 from hident.config.suggest import did_you_mean, one_of
 from hident.errors import EstimationError
@@ -25,14 +26,14 @@ from hident.estimators.bilinear_models.bilinear import (
     normalised,
 )
 from hident.estimators.bilinear_models.known_basis import BilinearSpec, LaggedSpec
+from hident.linear_blocks import TransferFunction
 from hident.numerics.choices import ROUNDING
 from hident.numerics.parts import Parts
-from hident.records import Array, Estimate, Record
-from hident.systems.linear import TransferFunction
+from hident.records import Estimate, Record
 
 
 @dataclass(frozen=True, eq=False)
-class TwoStage:
+class TwoStageFit:
     """Estimates b (..., n) and a (..., m), and the unconstrained ``theta`` (..., n, m)."""
 
     b: Array
@@ -61,7 +62,7 @@ def leading(theta: Array) -> Array:
     return np.asarray(np.linalg.svd(theta, full_matrices=False).U[..., 0])
 
 
-def two_stage(regression: Regression, y: Array) -> TwoStage:
+def two_stage(regression: Regression, y: Array) -> TwoStageFit:
     """The two-stage algorithm.
 
     Parameters
@@ -73,7 +74,7 @@ def two_stage(regression: Regression, y: Array) -> TwoStage:
 
     Returns
     -------
-    TwoStage
+    TwoStageFit
         Its arrays begin with an axis of length T for T trials.
 
     Raises
@@ -92,7 +93,7 @@ def two_stage(regression: Regression, y: Array) -> TwoStage:
     # Eq. (13), (14): s_1 sigma_1 v_1 is Theta' s_1 u_1
     b = leading(theta)
     b, a = normalised(b, np.einsum("...ij,...i->...j", theta, b))
-    return TwoStage(b, a, theta)
+    return TwoStageFit(b, a, theta)
 
 
 def estimate_noise(
@@ -218,11 +219,10 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
         errors: tuple[Array, Array],
         *,
         values: Mapping[str, float] = MappingProxyType({}),
-        diagnostics: Mapping[str, float] = MappingProxyType({}),
     ) -> Estimate:
         """The estimate of b (n,) and a (m,), with standard ``errors``, from the outputs ``y`` (rows,).
 
-        ``values`` and ``diagnostics`` are what the method adds to those of all.
+        ``values`` are what the method adds to those of all.
         """
         b, a = parameters
         regression = weighted.regression
@@ -237,21 +237,17 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
                 **weighted.order_value(),
                 **values,
             },
-            diagnostics={"condition": weighted.white.condition, **diagnostics},
         )
 
 
 @component("estimator", "two_stage", source="Wang, Zhang, Ljung 2009, eq. (12)-(14), (17), section 3.3")
-class TwoStageAlgorithm(WeightedBilinearSpec):
+class TwoStage(WeightedBilinearSpec):
     """Hammerstein system by linear least squares and a singular value decomposition."""
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         phi, y, parts = self.data(record)
         weighted = self.weighted(phi, y, parts)
         found = two_stage(weighted.regression, y)
         variance = weighted.white.variance(y, weighted.white.theta(y))
         errors = weighted.white.standard_errors(found.b, found.a, variance)
-        first, *others = found.singular_values
-        ratio = others[0] / first if others else 0.0
-        diagnostics = {"singular_value_ratio": float(ratio)}
-        return self.estimate(weighted, y, (found.b, found.a), errors, diagnostics=diagnostics)
+        return self.estimate(weighted, y, (found.b, found.a), errors)

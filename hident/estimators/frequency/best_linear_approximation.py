@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
 from hident.estimators.frequency.harmonics import samples_per_period
 from hident.estimators.normalisation import Normalisation
-from hident.records import Array, Estimate, Periodic, Record
+from hident.records import Estimate, Periodic, Record
 
 Complex = NDArray[np.complex128]
 
@@ -117,7 +118,7 @@ class BestLinear(EstimatorSpec):
     def check_record(self, record: Record) -> None:
         self._periods(record)
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         require_finite(record.y)
         require_varying(record.y, "output")
         u, y = self._periods(record)
@@ -134,7 +135,7 @@ class BestLinear(EstimatorSpec):
             for quantity, column in columns.items()
             for k, value in zip(self.harmonics, column, strict=True)
         }
-        return Estimate(values=values, details={"best_linear_approximation": found})
+        return Estimate(values=values)
 
     def _periods(self, record: Record) -> tuple[Array, Array]:
         """Input and output, each of shape (realisations, periods, samples per period)."""

@@ -23,13 +23,14 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array
 from hident.errors import EstimationError
+from hident.estimators.frequency import chi_squared
 from hident.estimators.frequency.gauge import FrequencyGrid, null_space, unwrap_along
 from hident.estimators.frequency.harmonic_map import harmonic_matrix, harmonic_matrix_slope
 from hident.estimators.frequency.sine_responses import SineResponses
 from hident.estimators.frequency.staircase_levels import PolynomialFit
 from hident.numerics.choices import ROUNDING, TIE, first_least
-from hident.records import Array
 
 Complex = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
@@ -40,15 +41,10 @@ _GAINS = np.geomspace(1e-4, 30.0, 600)
 _COMBINATIONS = 8
 # A start from which more evaluations do not lead to a minimum runs along the valley of vanishing |G_i|.
 _EVALUATIONS = 200
-# Solutions this close in ln |G_i| are one; those whose chi^2 differs by less than _EQUAL fit equally well.
+# Solutions this close in ln |G_i| are one.
 _SAME = 1e-6
-_EQUAL = 1e-3
 # The data tell two solutions apart if their chi^2 differ by four standard errors squared.
 _SEPARATE = 16.0
-# A search over many frequencies ends where chi^2 is below what a right model exceeds so often.
-_LIKELY = 0.05
-# A misfit up to this, relative to the fluctuation of the output, is tolerated whatever the noise.
-_TOLERATED = 1e-3
 _NULL = 1e-7
 _TOLERANCE = 1e-11
 
@@ -81,12 +77,11 @@ class FrequencyGains:
 
     def why_misfit(self, level: float) -> str:
         """What to say if chi^2 is above what a right model exceeds with probability ``level``; else empty."""
-        largest = _limit(self.freedom, level)
-        if self.chi2 <= largest or not self.freedom or self.misfit <= _TOLERATED:
+        large = chi_squared.why_too_large(self.chi2, self.freedom, self.misfit, level)
+        if not large:
             return ""
         return (
-            f"the gains do not fit the sines: chi^2 is {self.chi2:.4g}, {largest:.4g} the limit for "
-            f"{self.freedom} degrees of freedom, and the largest misfit is {self.misfit:.2g} of the output's "
+            f"the gains do not fit the sines: {large} of the output's "
             "fluctuation. The degree is too low for the range of the sines, the output has not settled, or "
             "its noise is not white: raise the degree, lower the amplitudes V or leave out more periods; "
             "'fit_level: 0' shows the estimate all the same"
@@ -172,7 +167,7 @@ def frequency_gains(data: SineResponses, polynomial: PolynomialFit, threshold: f
         problem, [one[:1] if gone else one for one, gone in zip(minima, lost, strict=False)], lost
     )
     chi2 = np.array([solution.chi2 for solution in found])
-    solution = found[first_least(chi2, scale=_EQUAL / ROUNDING)]
+    solution = found[first_least(chi2, scale=chi_squared.EQUAL / ROUNDING)]
     x, covariance = solution.x, solution.covariance
     sums, errors = problem.phase_sums(x)
     c = len(x) - len(polynomial.coefficients)
@@ -213,16 +208,7 @@ class _Solution:
 
     def fits(self, level: float) -> bool:
         """Whether chi^2 is below what a right model exceeds with the probability ``level``, or next to 0."""
-        return self.chi2 <= max(_limit(self.freedom, level), _EQUAL)
-
-
-def _limit(freedom: int, level: float) -> float:
-    """The chi^2 that a right model exceeds with the probability ``level``; 0 without degrees of freedom."""
-    from scipy.special import chdtri
-
-    if level == 0.0:
-        return math.inf
-    return float(chdtri(freedom, level)) if freedom else 0.0
+        return chi_squared.fits(self.chi2, self.freedom, level)
 
 
 def _solutions(problem: _Problem, minima: Sequence[Array], lost: Mask) -> list[_Solution]:
@@ -275,10 +261,10 @@ def _exchange(tried: Callable[[Sequence[float]], _Solution | None], minima: Sequ
         better = False
         for m, others in enumerate(minima):
             for other in others:
-                if best is not None and best.fits(_LIKELY):
+                if best is not None and best.fits(chi_squared.LIKELY):
                     return
                 solution = tried([*at[:m], float(other), *at[m + 1 :]]) if other != at[m] else None
-                if solution is not None and (best is None or solution.chi2 < best.chi2 - _EQUAL):
+                if solution is not None and (best is None or solution.chi2 < best.chi2 - chi_squared.EQUAL):
                     at[m], best, better = float(other), solution, True
 
 

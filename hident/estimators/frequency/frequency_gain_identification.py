@@ -10,13 +10,22 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
+from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, component
 from hident.config.suggest import did_you_mean, one_of
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite
 from hident.estimators.frequency.frequency_gain import FrequencyGains, frequency_gains
 from hident.estimators.frequency.gauge import AMBIGUITY, FrequencyGrid, Phases
-from hident.estimators.frequency.gauges import GAUGES, DelayFree, KnownPhase, MinimumPhase, Rational, named
+from hident.estimators.frequency.gauges import (
+    FIT,
+    GAUGES,
+    DelayFree,
+    KnownPhase,
+    MinimumPhase,
+    Rational,
+    named,
+)
 from hident.estimators.frequency.harmonics import (
     Harmonics,
     harmonics,
@@ -31,7 +40,7 @@ from hident.estimators.frequency.nonlinearity_identification import (
 from hident.estimators.frequency.sine_responses import SineResponses, match_frequencies
 from hident.estimators.frequency.staircase_levels import PolynomialFit
 from hident.estimators.normalisation import Normalisation, unit_static_gain
-from hident.records import Array, Estimate, Part, Periodic, Record
+from hident.records import Estimate, Part, Periodic, Record
 from hident.signals.experiments import LogSpaced
 from hident.systems.base import Coefficients
 from hident.systems.nonlinearity import Polynomial
@@ -58,7 +67,8 @@ class FrequencyGainIdentification(EstimatorSpec):
     gain_o_m_k = |Go(j k w_m)|, phase_sum_m_k = k arg Gi(j w_m) + arg Go(j k w_m); with a gauge also
     phase_i_m and phase_o_m_k, and the coefficients of a rational one; each with its se_. Whether they fit:
     chi2 with chi2_freedom degrees of freedom, misfit (the largest residual relative to the output's
-    fluctuation) and solutions (how many the data do not tell apart; of these the least gains). Where the
+    fluctuation) and solutions (how many the data do not tell apart; of these the least gains). Of a rational
+    gauge gauge_chi2, gauge_chi2_freedom and gauge_misfit (of a gain, or radians of a phase sum). Where the
     nonlinearity is estimated, c_0, ... as they are after the sines. Orders: order_power_m by eq. (39),
     order_ac_m the same without the mean, order_snr_m by signal-to-noise; examined + 1 where none suffices.
     Of the phases: how many there are (phase_unknowns), how many sums were seen (phase_equations), their rank
@@ -82,7 +92,8 @@ class FrequencyGainIdentification(EstimatorSpec):
     threshold: Annotated[Real, Field(gt=0)] = 3.0
     """Standard errors below which a harmonic counts as lost in the noise."""
     fit_level: Annotated[Real, Field(ge=0, lt=1)] = 0.001
-    """Probability that right gains fail the test of chi^2; also needs a misfit above 0.001. 0: no test."""
+    """Probability that right gains, or right rational blocks, fail the test of chi^2; also needs a misfit
+    above 0.001. 0: no test."""
     lost: Literal["error", "omit"] = "error"
     """What to do if gains are not determined: error, or omit (they are nan)."""
     phases: Literal["sums", "single"] = "sums"
@@ -165,7 +176,8 @@ class FrequencyGainIdentification(EstimatorSpec):
         orders = [f"order_{rule}_{m}" for rule in ("power", "ac", "snr") for m, _ in self._numbered()]
         ranks = ("phase_unknowns", "phase_equations", "phase_rank")
         omega = [f"omega_{m}" for m, _ in self._numbered()]
-        fit = ("chi2", "chi2_freedom", "misfit", "solutions")
+        fit = ["chi2", "chi2_freedom", "misfit", "solutions"]
+        fit += FIT if isinstance(self.gauge, Rational) else ()
         values = (*names, *(f"se_{name}" for name in names), *omega, *orders, *ranks, *fit)
         return frozenset({"nonlinearity", *(f"value {name}" for name in values)})
 
@@ -194,7 +206,7 @@ class FrequencyGainIdentification(EstimatorSpec):
         for part, frequency in zip(sines, omega, strict=True):
             require_samples(frequency, part.dt, self.order)
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         polynomial = self._polynomial(record)
         parts = self._sines(record)
         found = [self._harmonics(part, record) for part in parts]
@@ -208,16 +220,14 @@ class FrequencyGainIdentification(EstimatorSpec):
         values = self._gain_values(gains) | self._order_values(found, data.m) | _rank_values(gains)
         values |= {"chi2": gains.chi2, "chi2_freedom": float(gains.freedom)}
         values |= {"misfit": gains.misfit, "solutions": float(gains.solutions)}
-        details: dict[str, Any] = {"frequency_gains": gains, "lost": gains.why_lost()}
         values |= {f"omega_{m}": omega for m, omega in self._numbered()}
         if self.nonlinearity is not None:
             values |= coefficient_values(gains.polynomial)
         if self.gauge is not None:
-            phases, coefficients = self.gauge.phases(gains)
+            phases, coefficients = self.gauge.phases(gains, self.fit_level)
             values |= coefficients | self._phase_values(gains.grid, phases)
-            details["phases"] = phases
         nonlinearity = Polynomial(coefficients=tuple(gains.polynomial.coefficients.tolist()))
-        return Estimate(nonlinearity=nonlinearity, values=values, details=details)
+        return Estimate(nonlinearity=nonlinearity, values=values)
 
     def _sines(self, record: Record) -> list[Part]:
         """The experiments with a sine that are used.

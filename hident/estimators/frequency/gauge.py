@@ -15,8 +15,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array
 from hident.errors import EstimationError
-from hident.records import Array
 
 Complex = NDArray[np.complex128]
 Index = NDArray[np.intp]

@@ -8,11 +8,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import AfterValidator, Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, Real, Spec
 from hident.estimators.frequency.frequency_gain import FrequencyGains
 from hident.estimators.frequency.gauge import FrequencyGrid, Index, Phases, bode_weights, solve_phases
 from hident.estimators.frequency.rational_gauge import RationalBlock, fit_rational
-from hident.records import Array
 
 Positive = Annotated[Real, Field(gt=0)]
 
@@ -26,6 +26,8 @@ def _proper(degrees: tuple[int, int]) -> tuple[int, int]:
     return degrees
 
 
+FIT = ("gauge_chi2", "gauge_chi2_freedom", "gauge_misfit")
+"""What a rational gauge says of its fit."""
 Degrees = Annotated[
     tuple[Annotated[Count, Field(ge=0)], Annotated[Count, Field(ge=1)]], AfterValidator(_proper)
 ]
@@ -48,7 +50,7 @@ class DelayFree(Spec):
                 "one of another frequency: add frequencies such as 2 w, 4 w, 8 w"
             )
 
-    def phases(self, found: FrequencyGains) -> tuple[Phases, dict[str, float]]:
+    def phases(self, found: FrequencyGains, level: float = 0.0) -> tuple[Phases, dict[str, float]]:
         """All phases; the ladder phi_i(w) = -sum_j D(2^j w)/2^(j+1), D(w) = theta_1(2 w) - theta_2(w).
 
         A ladder ends below its first lost rung; a phase that stands on none is nan.
@@ -69,7 +71,7 @@ class MinimumPhase(Spec):
         if len(grid.inputs) < 2:
             raise ValueError("the gauge minimum_phase needs two frequencies or more")
 
-    def phases(self, found: FrequencyGains) -> tuple[Phases, dict[str, float]]:
+    def phases(self, found: FrequencyGains, level: float = 0.0) -> tuple[Phases, dict[str, float]]:
         """All phases."""
         n = len(found.grid.inputs)
         known = np.flatnonzero(np.isfinite(found.log_gains[:n]))
@@ -104,17 +106,20 @@ class Rational(Spec):
             for j in range(1, degree + 1)
         ]
 
-    def phases(self, found: FrequencyGains) -> tuple[Phases, dict[str, float]]:
-        """All phases, and the coefficients."""
-        first, second, phases = fit_rational(
+    def phases(self, found: FrequencyGains, level: float = 0.0) -> tuple[Phases, dict[str, float]]:
+        """All phases, and the coefficients with how well they fit; the fit is tested at the ``level``."""
+        fit = fit_rational(
             found.grid,
             found.log_gains,
             found.covariance,
             found.sums,
             found.sum_errors,
             (self.input, self.output),
+            level,
         )
-        return phases, named(self.names(), *_coefficients(first, second))
+        tested = (fit.chi2, float(fit.freedom), fit.misfit)
+        coefficients = named(self.names(), *_coefficients(fit.input, fit.output))
+        return fit.phases, coefficients | dict(zip(FIT, tested, strict=True))
 
 
 class KnownPhase(Spec):
@@ -136,7 +141,7 @@ class KnownPhase(Spec):
             open_ = grid.inputs[np.isnan(test.input)][0]
             raise ValueError(f"the known phases leave the phase of G_i at {open_:g} open: give it there too")
 
-    def phases(self, found: FrequencyGains) -> tuple[Phases, dict[str, float]]:
+    def phases(self, found: FrequencyGains, level: float = 0.0) -> tuple[Phases, dict[str, float]]:
         """All phases."""
         return _solved(found, self._indices(found.grid), np.array([phase for _, phase in self.at])), {}
 

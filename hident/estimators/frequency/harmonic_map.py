@@ -16,7 +16,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from hident.records import Array
+from hident.arrays import Array
 
 Complex = NDArray[np.complex128]
 

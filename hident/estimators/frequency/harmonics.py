@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array
 from hident.errors import EstimationError
-from hident.records import Array
 
 Complex = NDArray[np.complex128]
 

@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, Flag, Real, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite
@@ -21,7 +22,7 @@ from hident.estimators.frequency.staircase_levels import (
     settled_levels,
 )
 from hident.estimators.normalisation import Normalisation, unit_static_gain
-from hident.records import Array, Estimate, Held, Part, Record
+from hident.records import Estimate, Held, Part, Record
 from hident.systems.nonlinearity import Polynomial
 
 
@@ -93,7 +94,7 @@ class NonlinearityIdentification(EstimatorSpec):
                 f"{self.degree}"
             )
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         found = self.staircase(record)
         levels = found.levels
         drift = np.abs(levels.drift) / np.where(levels.drift_error > 0.0, levels.drift_error, np.inf)

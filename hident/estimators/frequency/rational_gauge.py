@@ -8,18 +8,21 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array
 from hident.errors import EstimationError
+from hident.estimators.frequency import chi_squared
 from hident.estimators.frequency.gauge import FrequencyGrid, Phases
 from hident.numerics.choices import first_least
-from hident.records import Array
 
 Complex = NDArray[np.complex128]
 Orders = tuple[int, int]
 """Degrees (m, n) of a block's numerator and denominator."""
 
-# Poles to start from, relative to the geometric mean of the frequencies, and how many of the pairs are tried.
+# Poles to start from, relative to the geometric mean of the frequencies. So many of the pairs are tried in
+# any case, and the others as long as none fits: blocks with zeros have many local minima.
 _STARTS = np.geomspace(0.03, 30.0, 13)
 _TRIED = 4
+_TOLERANCE = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +42,33 @@ class RationalBlock:
 def _phase(coefficients: Array, omega: Array) -> Array:
     roots = np.roots([*coefficients[::-1], 1.0])
     return np.asarray(np.sum(np.angle(1.0 - 1j * omega[:, None] / roots), axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class RationalFit:
+    """Both blocks and their phases at the grid's frequencies.
+
+    ``chi2`` is the sum of the squared residuals in standard errors, ``freedom`` their number less that of the
+    coefficients. ``misfit`` is the largest residual: of ln |G|, or of a phase sum in radians.
+    """
+
+    input: RationalBlock
+    output: RationalBlock
+    phases: Phases
+    chi2: float
+    freedom: int
+    misfit: float
+
+    def why_misfit(self, level: float) -> str:
+        """What to say if chi^2 is above what right blocks exceed with probability ``level``; else empty."""
+        large = chi_squared.why_too_large(self.chi2, self.freedom, self.misfit, level)
+        if not large:
+            return ""
+        return (
+            f"the rational blocks do not fit the gains and phase sums: {large} of a gain or radians of a "
+            "phase sum. The degrees [m, n] of a block are too low, or a block has a delay: raise the "
+            "degrees, or declare another gauge; 'fit_level: 0' shows the estimate all the same"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,12 +111,21 @@ class _Problem:
         derivative[:rows, :columns], derivative[rows:, columns:] = slopes
         return np.concatenate(values), derivative
 
-    def residuals(self, parameters: Array) -> Array:
+    def away(self, parameters: Array) -> tuple[Array, Array]:
+        """What the gains, as logarithms, and the phase sums, in radians, are off by."""
         value, _ = self.logarithms(parameters)
-        away = self.equations @ value.imag - self.sums
-        around = np.angle(np.exp(1j * away))  # phases are compared on the circle
-        gains = self.whiten @ (value.real[self.gains] - self.log_gains)
-        return np.concatenate((gains, around / self.errors))
+        sums = self.equations @ value.imag - self.sums
+        # Phases are compared on the circle.
+        return value.real[self.gains] - self.log_gains, np.angle(np.exp(1j * sums))
+
+    def residuals(self, parameters: Array) -> Array:
+        gains, sums = self.away(parameters)
+        return np.concatenate((self.whiten @ gains, sums / self.errors))
+
+    @property
+    def freedom(self) -> int:
+        """The number of data less that of parameters."""
+        return len(self.log_gains) + len(self.sums) - self.size
 
     def jacobian(self, parameters: Array) -> Array:
         _, slope = self.logarithms(parameters)
@@ -101,7 +140,40 @@ class _Problem:
             )
             for poles in product(_STARTS, repeat=2)
         ]
-        return sorted(pairs, key=lambda start: float(np.sum(self.residuals(start) ** 2)))[:_TRIED]
+        return sorted(pairs, key=lambda start: float(np.sum(self.residuals(start) ** 2)))
+
+    def solve(self) -> tuple[Array, float]:
+        """The parameters with the least chi^2, and it.
+
+        Raises
+        ------
+        EstimationError
+            If no fit converges.
+        """
+        from scipy.optimize import least_squares
+
+        found, costs, said = [], [], []
+        for tried, start in enumerate(self.starts()):
+            if tried >= _TRIED and chi_squared.fits(min(costs), self.freedom, chi_squared.LIKELY):
+                break
+            fit = least_squares(
+                self.residuals,
+                start,
+                self.jacobian,
+                method="lm",
+                x_scale="jac",
+                xtol=_TOLERANCE,
+                ftol=_TOLERANCE,
+                gtol=_TOLERANCE,
+            )
+            converged = fit.success and np.isfinite(fit.cost)
+            found.append(fit.x)
+            costs.append(2.0 * float(fit.cost) if converged else np.inf)
+            said.append(fit.message)
+        if not np.any(np.isfinite(costs)):
+            raise EstimationError(f"the rational blocks do not converge from any start: {said[0]}")
+        best = first_least(costs)
+        return found[best], costs[best]
 
 
 def _multiple_pole(zeros: int, poles: int, at: float) -> Array:
@@ -116,7 +188,8 @@ def fit_rational(
     sums: Array,
     errors: Array,
     orders: tuple[Orders, Orders],
-) -> tuple[RationalBlock, RationalBlock, Phases]:
+    level: float = 0.0,
+) -> RationalFit:
     """G_i and G_o of given orders, and their phases at the grid's frequencies.
 
     Parameters
@@ -128,18 +201,19 @@ def fit_rational(
         Phase sums in radians and their standard errors; nan where there is none.
     orders : pair of (m, n)
         Degrees of numerator and denominator of G_i and of G_o.
+    level : float
+        Probability that right blocks fail the test of chi^2; 0 for no test.
 
     Raises
     ------
     EstimationError
-        If there are fewer data than coefficients, no fit converges, or the blocks are unstable.
+        If there are fewer data than coefficients, no fit converges, the best one fails the test, or the
+        blocks are unstable.
 
     Notes
     -----
     Not in the paper. Levenberg and Marquardt from several starts, with unit static gains and no delay.
     """
-    from scipy.optimize import least_squares
-
     unit = float(np.exp(np.mean(np.log(grid.outputs))))
     highest = np.arange(1, max(map(max, orders)) + 1)
     known, used = np.isfinite(log_gains), np.isfinite(sums) & np.isfinite(errors)
@@ -154,31 +228,29 @@ def fit_rational(
         sums[used],
         errors[used],
     )
-    data = int(np.count_nonzero(known) + np.count_nonzero(used))
-    if data < problem.size:
+    if problem.freedom < 0:
         raise EstimationError(
-            f"{data} gains and phase sums do not determine the {problem.size} coefficients of both blocks"
+            f"{problem.freedom + problem.size} gains and phase sums do not determine the {problem.size} "
+            "coefficients of both blocks"
         )
-    fits = [
-        least_squares(problem.residuals, start, problem.jacobian, method="lm", x_scale="jac")
-        for start in problem.starts()
-    ]
-    if not any(fit.success and np.isfinite(fit.cost) for fit in fits):
-        raise EstimationError(f"the rational blocks do not converge from any start: {fits[0].message}")
-    best = fits[first_least([fit.cost if fit.success else np.inf for fit in fits])].x
+    best, chi2 = problem.solve()
     root = np.linalg.pinv(problem.jacobian(best))
     spread = root @ root.T
     scale = unit ** -np.concatenate([np.arange(1, size + 1) for pair in orders for size in pair])
     b_i, a_i, b_o, a_o = np.split(best * scale, problem.split)
     s_b_i, s_a_i, s_b_o, s_a_o = np.split(np.sqrt(np.diag(spread)) * scale, problem.split)
     first, second = RationalBlock(b_i, a_i, s_b_i, s_a_i), RationalBlock(b_o, a_o, s_b_o, s_a_o)
-    for side, block in (("input", first), ("output", second)):
-        _require_stable(side, block)
     slope = problem.logarithms(best)[1].imag
     deviations = np.sqrt(np.einsum("ij,jk,ik->i", slope, spread, slope))
     n = len(grid.inputs)
     phases = Phases(first.phase(grid.inputs), second.phase(grid.outputs), deviations[:n], deviations[n:])
-    return first, second, phases
+    misfit = float(np.max(np.abs(np.concatenate(problem.away(best)))))
+    fit = RationalFit(first, second, phases, chi2, problem.freedom, misfit)
+    if why := fit.why_misfit(level):
+        raise EstimationError(why)
+    for side, block in (("input", first), ("output", second)):
+        _require_stable(side, block)
+    return fit
 
 
 def _require_stable(side: str, block: RationalBlock) -> None:

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array
 from hident.errors import EstimationError
 from hident.estimators.frequency.gauge import FrequencyGrid
 from hident.estimators.frequency.harmonic_map import quadrature
 from hident.estimators.frequency.harmonics import Harmonics
-from hident.records import Array
 
 Complex = NDArray[np.complex128]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array
 from hident.errors import EstimationError
-from hident.records import Array
 
 # A time this close below a switching instant, relative to the time, is at it.
 _AT_THE_SWITCH = 1e-12

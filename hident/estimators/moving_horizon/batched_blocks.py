@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array
 from hident.numerics.whole import split
-from hident.records import Array
 
 # Modes faster than this fraction of the sampling interval act at once.
 _FASTEST = 1e-3

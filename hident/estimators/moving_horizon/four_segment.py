@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hident.records import Array
+from hident.arrays import Array
 
 
 def left_segments(y: Array, lower: Array | float) -> Array:

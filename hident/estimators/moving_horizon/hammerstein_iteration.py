@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hident.estimators.moving_horizon.horizon_least_squares import back_substituted, lengths, solve
-from hident.records import Array
+from hident.arrays import Array
+from hident.estimators.moving_horizon.horizon_least_squares import back_substituted, solve
+from hident.numerics.least_squares import lengths
 
 
 @dataclass(frozen=True, eq=False)

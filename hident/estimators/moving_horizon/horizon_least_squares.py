@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from hident.records import Array
+from hident.arrays import Array
+from hident.numerics.least_squares import lengths
 
-# A regressor of length one that differs by less from a sum of the ones before it is such a sum.
+# What is left of a regressor of length one, less its projection on those before it, where it is rounding.
 _DEPENDENT = 1e-13
 
 
@@ -26,12 +27,6 @@ def solve(phi: Array, z: Array, scale: Array | None = None) -> Array:
     parameters = phi.shape[-1]
     theta = back_substituted(r[..., :parameters, :parameters], r[..., :parameters, parameters])
     return np.asarray(theta / scale)
-
-
-def lengths(phi: Array) -> Array:
-    """The lengths (..., P) of the columns; one for a column of zeros, which stays so when it is scaled."""
-    found = np.sqrt(np.einsum("...ij,...ij->...j", phi, phi))
-    return np.where(found == 0.0, 1.0, found)
 
 
 def back_substituted(r: Array, right: Array) -> Array:

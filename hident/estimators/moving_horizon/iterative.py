@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from hident.arrays import Array
 from hident.config.spec import Count, Flag, Real
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
 from hident.estimators.convergence import Unconverged
 from hident.estimators.moving_horizon.horizon_least_squares import scaled_condition, variance_inflation
 from hident.estimators.moving_horizon.linear_transform import LinearFit, SecondStageSpec, StageSpec
+from hident.estimators.moving_horizon.searches import StructureSearch
 from hident.estimators.moving_horizon.time_weighted import Horizons
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.numerics.parts import Parts, whole
-from hident.records import Array, Record
-from hident.systems.continuous import ContinuousTransferFunction
+from hident.records import Record
 
 
 def padded(block: ContinuousTransferFunction, n: int, prefix: str = "") -> dict[str, float]:
@@ -118,9 +120,24 @@ class MovingHorizonSpec(EstimatorSpec):
         return record.dt
 
 
+class FirstStage(Protocol):
+    """What a first stage found."""
+
+    @property
+    def block(self) -> ContinuousTransferFunction:
+        """The linear block."""
+
+
+F = TypeVar("F", bound=FirstStage)
+
+
 class IterativeSpec(MovingHorizonSpec):
     """Base of the iterative two-stage estimators."""
 
+    share: ClassVar[float]
+    """Section 4.4: the share of the settling time that the second stage's horizons last."""
+    guesses: ClassVar[bool] = False
+    """Whether section 5's loop finds the first structure with a static function of its own."""
     instead: ClassVar[Mapping[str, str]] = {
         "delay": "'second: {structure: search, delays: [...]}' searches among several"
     }
@@ -149,10 +166,46 @@ class IterativeSpec(MovingHorizonSpec):
         """The largest order n among the stages, up to which parameters are named."""
         return max(self.first.n, 0 if self.second is None else self.second.most)
 
-    def require_settled(self, first: ContinuousTransferFunction, second: ContinuousTransferFunction) -> None:
-        """Raise EstimationError if section 5's loop ended while the structure still changed."""
-        if structure_of(first) != structure_of(second) and self.unconverged == "fail":
+    def stages(
+        self,
+        first: Callable[[StageSpec, float, bool], F],
+        second: Callable[[F, SecondStageSpec, float], tuple[LinearFit, StructureSearch | None]],
+    ) -> tuple[F, LinearFit | None, StructureSearch | None]:
+        """Both stages, the second if there is one, in section 5's loop if that is asked for.
+
+        ``first`` takes a structure, a delay, and whether the static function is to be guessed; ``second``
+        takes what it found, the second stage, and the length eta of its horizons.
+
+        Raises
+        ------
+        EstimationError
+            If the first stage's block never settles, or the loop ends while the structure still changes.
+        """
+        guess = self.automatic and self.guesses
+        found = first(self.first, self.delay, guess)
+        if self.second is None:
+            return found, None, None
+        fit, search = second(found, self.second, self._second_horizon(found.block))
+        for _ in range(ROUNDS if self.automatic else 0):
+            n, m, delay = structure_of(fit.block)
+            if structure_of(found.block) == (n, m, delay) and not guess:
+                break
+            guess = False
+            found = first(self.first.of_structure(n, m), delay, guess)
+            fit, search = second(found, self.second, self._second_horizon(found.block))
+        unsettled = self.automatic and structure_of(found.block) != structure_of(fit.block)
+        if unsettled and self.unconverged == "fail":
             raise EstimationError(f"the structure still changes after {ROUNDS} rounds of 'automatic'")
+        return found, fit, search
+
+    def _second_horizon(self, block: ContinuousTransferFunction) -> float:
+        settling = block.settling_time()
+        if not math.isfinite(settling):
+            raise EstimationError(
+                "the first stage's block is unstable or has no static gain: it never settles"
+            )
+        given = None if self.second is None else self.second.horizon
+        return self.share * settling if given is None else given
 
     def function_parameters(self) -> int:
         """The number of parameters of the first stage besides a_1, ..., a_n and b_1, ..., b_m."""
@@ -214,19 +267,3 @@ class IterativeSpec(MovingHorizonSpec):
 def structure_of(block: ContinuousTransferFunction) -> tuple[int, int, float]:
     """n, m and the delay of a block."""
     return len(block.a), len(block.b) - 1, block.delay
-
-
-def second_horizon(
-    block: ContinuousTransferFunction, share: float, given: float | None
-) -> tuple[float, float]:
-    """The settling time of the first stage's block, and eta of the second: a share of it, or as given.
-
-    Raises
-    ------
-    EstimationError
-        If the block does not settle.
-    """
-    settling = block.settling_time()
-    if not math.isfinite(settling):
-        raise EstimationError("the first stage's block is unstable or has no static gain: it never settles")
-    return settling, share * settling if given is None else given

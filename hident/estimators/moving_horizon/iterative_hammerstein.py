@@ -5,7 +5,8 @@ Chen, Hwang and Chang 2009. Stage 1 finds the static function, stage 2 the linea
 
 from __future__ import annotations
 
-from typing import Annotated
+from functools import partial
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Discriminator, Field
@@ -19,13 +20,13 @@ from hident.estimators.moving_horizon.hammerstein_stage import (
     ThreeSegment,
     first_stage,
 )
-from hident.estimators.moving_horizon.iterative import (
-    ROUNDS,
-    IterativeSpec,
-    second_horizon,
-    structure_of,
+from hident.estimators.moving_horizon.iterative import IterativeSpec
+from hident.estimators.moving_horizon.linear_transform import (
+    LinearFit,
+    SecondStageSpec,
+    StageSpec,
+    responses_in,
 )
-from hident.estimators.moving_horizon.linear_transform import LinearFit, StageSpec, responses_in
 from hident.estimators.moving_horizon.partition import require_inside
 from hident.estimators.moving_horizon.sandwich import influence, standard_errors
 from hident.estimators.moving_horizon.searches import StructureSearch, found_searches
@@ -35,13 +36,14 @@ from hident.records import Estimate, Record
 
 # Section 5: the polynomial that a first structure is found with.
 _GUESS = Polynomial(kind="polynomial", degree=5)
-# Section 4.4: the share of the settling time that the second stage's horizons last.
-_SHARE = 0.5
 
 
 @component("estimator", "iterative_hammerstein", source="Chen, Hwang, Chang 2009, eq. (22), (25), (27)")
 class IterativeHammerstein(IterativeSpec):
     """Continuous-time Hammerstein system by the iterative two-stage algorithm."""
+
+    share: ClassVar[float] = 0.5
+    guesses: ClassVar[bool] = True
 
     nonlinearity: Annotated[Polynomial | ThreeSegment, Discriminator("kind")]
     """The static function: {kind: polynomial, degree: 5} or {kind: three_segment, partition: search}."""
@@ -69,29 +71,20 @@ class IterativeHammerstein(IterativeSpec):
         if isinstance(self.nonlinearity, ThreeSegment):
             require_inside(self.nonlinearity.partition, record.u, "input")
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         dt = self.sampling_interval(record)
-        if self.automatic:
-            first, second, search = self._loop(record, dt)
-        else:
-            first = self._first(record, dt, self.nonlinearity, self.first, self.delay)
-            second, search = self._second(record, dt, first)
+        first, second, search = self.stages(
+            partial(self._first, record, dt), partial(self._second, record, dt)
+        )
         return self._estimate(record, dt, first, second, search)
 
-    def _first(
-        self,
-        record: Record,
-        dt: float,
-        nonlinearity: Polynomial | ThreeSegment,
-        stage: StageSpec,
-        delay: float,
-    ) -> FirstStage:
+    def _first(self, record: Record, dt: float, stage: StageSpec, delay: float, guess: bool) -> FirstStage:
         try:
             found = first_stage(
                 record.u,
                 record.y,
                 dt,
-                nonlinearity,
+                _GUESS if guess else self.nonlinearity,
                 stage,
                 delay=delay,
                 start=self.start,
@@ -105,15 +98,11 @@ class IterativeHammerstein(IterativeSpec):
         return found
 
     def _second(
-        self, record: Record, dt: float, first: FirstStage
-    ) -> tuple[LinearFit | None, StructureSearch | None]:
-        if self.second is None:
-            return None, None
-        eta = second_horizon(first.block, _SHARE, self.second.horizon)[1]
-        x = first.function(record.u)
-        return self.second.fit(
+        self, record: Record, dt: float, first: FirstStage, stage: SecondStageSpec, eta: float
+    ) -> tuple[LinearFit, StructureSearch | None]:
+        return stage.fit(
             record.y,
-            x,
+            first.function(record.u),
             dt,
             delay=first.block.delay,
             eta=eta,
@@ -121,22 +110,6 @@ class IterativeHammerstein(IterativeSpec):
             gain=1.0,
             parts=record.experiments,
         )
-
-    def _loop(self, record: Record, dt: float) -> tuple[FirstStage, LinearFit | None, StructureSearch | None]:
-        """The automatic loop of section 5: a polynomial finds the first structure."""
-        first = self._first(record, dt, _GUESS, self.first, self.delay)
-        second, search = self._second(record, dt, first)
-        for _ in range(ROUNDS):
-            assert second is not None  # by validation
-            n, m, delay = structure_of(second.block)
-            first = self._first(record, dt, self.nonlinearity, self.first.of_structure(n, m), delay)
-            second, search = self._second(record, dt, first)
-            assert second is not None
-            if structure_of(second.block) == (n, m, delay):
-                break
-        assert second is not None
-        self.require_settled(first.block, second.block)
-        return first, second, search
 
     def _estimate(
         self,

@@ -6,21 +6,24 @@ Chen, Hwang and Chang 2009. Stage 1 finds the nonlinearity, stage 2 the linear b
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from functools import partial
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Discriminator, Field
 
+from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
 from hident.estimators.convergence import settle
-from hident.estimators.moving_horizon.iterative import (
-    ROUNDS,
-    IterativeSpec,
-    second_horizon,
-    structure_of,
+from hident.estimators.moving_horizon.iterative import IterativeSpec
+from hident.estimators.moving_horizon.linear_transform import (
+    LinearFit,
+    Measured,
+    SecondStageSpec,
+    StageSpec,
+    responses_in,
 )
-from hident.estimators.moving_horizon.linear_transform import LinearFit, Measured, StageSpec, responses_in
 from hident.estimators.moving_horizon.partition import require_inside
 from hident.estimators.moving_horizon.searches import StructureSearch, found_searches
 from hident.estimators.moving_horizon.wiener_errors import wiener_errors
@@ -32,12 +35,10 @@ from hident.estimators.moving_horizon.wiener_stage import (
     first_stage,
 )
 from hident.estimators.normalisation import Normalisation, unit_slope, unit_static_gain
-from hident.records import Array, Characteristic, Estimate, Record
-from hident.systems.continuous import ContinuousTransferFunction
+from hident.linear_blocks import ContinuousTransferFunction
+from hident.records import Estimate, Record
 from hident.systems.nonlinearity import PiecewiseLinear
 
-# Section 4.4: the share of the settling time that the second stage's horizons last.
-_SHARE = 1.0
 _CLUSTERS = 20
 
 
@@ -76,6 +77,8 @@ class IterativeWiener(IterativeSpec):
     an iteration that ends badly, or does not converge, starts again from the linear model's output.
     """
 
+    share: ClassVar[float] = 1.0
+
     nonlinearity: Annotated[FourSegmentSpec | PolynomialSpec, Discriminator("kind")]
     """The nonlinearity: {kind: four_segment, partition: search} or {kind: polynomial, degree: 4}."""
     weight: Annotated[Real, Field(ge=0, le=1)] = 0.5
@@ -105,23 +108,15 @@ class IterativeWiener(IterativeSpec):
         if isinstance(self.nonlinearity, FourSegmentSpec):
             require_inside(self.nonlinearity.partition, record.y, "output")
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         dt = self.sampling_interval(record)
         self.check_record(record)
-        wiener, first = self._first(record, dt, self.first, self.delay)
-        second, search = self._second(record, dt, first)
-        for _ in range(ROUNDS if self.automatic else 0):
-            assert second is not None  # by validation
-            n, m, delay = structure_of(second.block)
-            if structure_of(first.block) == (n, m, delay):
-                break
-            wiener, first = self._first(record, dt, self.first.of_structure(n, m), delay)
-            second, search = self._second(record, dt, first)
-        if self.automatic and second is not None:
-            self.require_settled(first.block, second.block)
-        return self._estimate(record, dt, wiener, first, second, search)
+        first, second, search = self.stages(
+            partial(self._first, record, dt), partial(self._second, record, dt)
+        )
+        return self._estimate(record, dt, first, second, search)
 
-    def _first(self, record: Record, dt: float, stage: StageSpec, delay: float) -> tuple[Wiener, WienerStage]:
+    def _first(self, record: Record, dt: float, stage: StageSpec, delay: float, guess: bool) -> WienerStage:
         parameters = stage.n + stage.m + self.function_parameters()
         try:
             horizons = stage.horizons(len(record), dt, self.start, parameters, record.experiments)
@@ -133,22 +128,18 @@ class IterativeWiener(IterativeSpec):
         settle(found.history.converged, found.iterations, self.unconverged)
         if found.block.b[0] == 0.0:
             raise EstimationError("the first stage's linear block has no static gain: its b_0 is zero")
-        return wiener, found
+        return found
 
     def _second(
-        self, record: Record, dt: float, first: WienerStage
-    ) -> tuple[LinearFit | None, StructureSearch | None]:
-        if self.second is None:
-            return None, None
-        eta = second_horizon(first.block, _SHARE, self.second.horizon)[1]
-        block = first.block
-        gain, nonlinearity = block.b[0], first.nonlinearity
+        self, record: Record, dt: float, first: WienerStage, stage: SecondStageSpec, eta: float
+    ) -> tuple[LinearFit, StructureSearch | None]:
+        gain, nonlinearity = first.block.b[0], first.nonlinearity
         # The output of the linear block is now known, (28b), and so is its static gain.
-        return self.second.fit(
+        return stage.fit(
             first.x,
             record.u,
             dt,
-            delay=block.delay,
+            delay=first.block.delay,
             eta=eta,
             start=self.start,
             gain=gain,
@@ -160,7 +151,6 @@ class IterativeWiener(IterativeSpec):
         self,
         record: Record,
         dt: float,
-        wiener: Wiener,
         first: WienerStage,
         second: LinearFit | None,
         search: StructureSearch | None,
@@ -171,9 +161,9 @@ class IterativeWiener(IterativeSpec):
         clusters = smoothed(v, record.y, self.smooth or _CLUSTERS)
         nonlinearity = first.nonlinearity if self.smooth is None else _through(clusters)
         values = {
-            **self.stage_values(first.block, first.phi, wiener.horizons, second),
+            **self.stage_values(first.block, first.phi, first.wiener.horizons, second),
             **first.values,
-            **self._errors(wiener, first, second),
+            **self._errors(first, second),
             "iterations": float(first.iterations),
             "converged": float(first.history.converged),
         }
@@ -191,13 +181,13 @@ class IterativeWiener(IterativeSpec):
             details=details,
         )
 
-    def _errors(self, wiener: Wiener, first: WienerStage, second: LinearFit | None) -> dict[str, float]:
+    def _errors(self, first: WienerStage, second: LinearFit | None) -> dict[str, float]:
         """The standard errors by name, zero where the block has no parameter; none for a polynomial."""
         if not isinstance(self.nonlinearity, FourSegmentSpec):
             return {}
         e = np.array([first.values[name] for name in self.nonlinearity.coefficients()])
         points = first.values["y_-1"], first.values["y_1"]
-        found = wiener_errors(wiener, first.phi, first.block, e, points, self.weight, second)
+        found = wiener_errors(first.wiener, first.phi, first.block, e, points, self.weight, second)
         return self.errors_by_name(*found, 0)
 
 

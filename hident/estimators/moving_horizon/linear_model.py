@@ -54,7 +54,7 @@ class LinearModel(MovingHorizonSpec):
         names += ["vif_mean", "vif_max", "condition", "n", "m", "delay", "settling_time"]
         return frozenset({"continuous", "response"} | {f"value {name}" for name in names})
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         dt, eta = self.sampling_interval(record), self.block.horizon
         assert eta is not None
         found, search = self.block.fit(

@@ -19,9 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.errors import EstimationError
 from hident.estimators.base import require_finite
-from hident.estimators.bilinear_models.bilinear import lengths
 from hident.estimators.moving_horizon.four_segment import (
     FourSegment,
     forward,
@@ -29,13 +29,16 @@ from hident.estimators.moving_horizon.four_segment import (
     forward_slope,
 )
 from hident.estimators.moving_horizon.linear_transform import responses_in
-from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED
+from hident.linear_blocks import ContinuousTransferFunction
+from hident.numerics.gauss_newton import gauss_newton
+from hident.numerics.least_squares import Factorisation
 from hident.numerics.parts import Parts
-from hident.records import Array
-from hident.systems.continuous import ContinuousTransferFunction
 
-_HALVINGS = 30
 _MAX_ITERATIONS = 100
+_DEPENDENT = (
+    "the output does not tell the {} parameters apart: the input varies too little, an order is too high, "
+    "or a segment holds too few samples"
+)
 _RESTS = 1e-4
 """Length of a step, in standard errors, up to which it does not matter."""
 _STALLS = 0.5
@@ -62,18 +65,6 @@ class Refinement:
     def standard_errors(self) -> Array:
         """Those of the parameters in the order of ``covariance``, shape (P,)."""
         return np.sqrt(np.diag(self.covariance))
-
-
-@dataclass(frozen=True, eq=False)
-class _Solved:
-    """A linear least squares problem solved: Q'y (P,), and R^-1 (P, P) for columns = Q R."""
-
-    projected: Array
-    inverse: Array
-
-    @property
-    def solution(self) -> Array:
-        return self.inverse @ self.projected
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,18 +113,13 @@ def sensitivities(
     return np.column_stack([responses_in(parts, derivative, x, dt) for derivative in (*by_a, *by_b)])
 
 
-def _solved(columns: Array, y: Array) -> _Solved:
+def _factored(columns: Array) -> Factorisation:
     if len(columns) <= columns.shape[1]:
         raise EstimationError(f"{len(columns)} samples cannot determine {columns.shape[1]} parameters")
-    length = lengths(columns)
-    q, r = np.linalg.qr(columns / length)
-    singular_values = np.linalg.svd(r, compute_uv=False)
-    if singular_values[-1] * ILL_CONDITIONED <= singular_values[0]:
-        raise EstimationError(
-            f"the output does not tell the {columns.shape[1]} parameters apart: the input varies too little, "
-            "an order is too high, or a segment holds too few samples"
-        )
-    return _Solved(q.T @ y, np.linalg.solve(r, np.eye(len(r))) / length[:, None])
+    factors = Factorisation.of(columns)
+    if factors.is_dependent:
+        raise EstimationError(_DEPENDENT.format(columns.shape[1]))
+    return factors
 
 
 def _stable(a: Array, b: Array, delay: float) -> ContinuousTransferFunction | None:
@@ -144,36 +130,36 @@ def _stable(a: Array, b: Array, delay: float) -> ContinuousTransferFunction | No
     return block if block.is_stable() else None
 
 
-def _descended(model: _Model, current: _Point, step: Array) -> _Point | None:
-    """The first model along the halved steps that has a lower loss."""
-    for halving in range(_HALVINGS):
-        new = model(current.theta + 0.5**halving * step)
-        if new is not None and new.loss < current.loss:
-            return new
-    return None
-
-
-def _gauss_newton(model: _Model, theta: Array, size: float) -> tuple[_Point, Array, int]:
+def _minimised(model: _Model, theta: Array, size: float) -> tuple[_Point, Array, int]:
     """Minimise the squared residuals from ``theta`` (p,) for an output of norm ``size``.
 
-    Returns the last model, the covariance of its parameters, and the number of steps. Further columns of J
-    belong to parameters that the model solves for, and the step is then that of variable projection in
-    Kaufman's form.
+    Returns the last model, the covariance of its parameters, and the number of steps.
     """
     current = model(theta)
     if current is None:
         raise EstimationError("the start is unstable, or a slope is not positive")
-    for iteration in range(_MAX_ITERATIONS):
-        solved = _solved(current.jacobian, current.residuals)
-        length, error = float(np.linalg.norm(solved.projected)), float(np.sqrt(current.variance))
-        rests = length <= max(_RESTS * error, _ROUNDING * size)
-        new = None if rests else _descended(model, current, solved.solution[: len(theta)])
-        if new is None:
-            if not rests and length > _STALLS * error:
-                raise EstimationError(f"no step lowers the output error after {iteration} steps")
-            return current, current.variance * solved.inverse @ solved.inverse.T, iteration
-        current = new
-    raise EstimationError(f"the output error did not settle in {_MAX_ITERATIONS} steps")
+    rows, columns = current.jacobian.shape
+    if rows <= columns:
+        raise EstimationError(f"{rows} samples cannot determine {columns} parameters")
+
+    def error(point: _Point) -> float:
+        return float(np.sqrt(point.variance))
+
+    found = gauss_newton(
+        current,
+        lambda point, step: model(point.theta + step[: len(theta)]),
+        lambda point, length: length <= max(_RESTS * error(point), _ROUNDING * size),
+        max_iterations=_MAX_ITERATIONS,
+    )
+    match found.status:
+        case "singular":
+            raise EstimationError(_DEPENDENT.format(columns))
+        case "exhausted":
+            raise EstimationError(f"the output error did not settle in {_MAX_ITERATIONS} steps")
+        case "stalled" if found.length > _STALLS * error(found.point):
+            raise EstimationError(f"no step lowers the output error after {found.iterations} steps")
+    root = found.factors.inverse_root
+    return found.point, found.point.variance * root @ root.T, found.iterations
 
 
 def refine_hammerstein(
@@ -222,12 +208,12 @@ def refine_hammerstein(
         if at is None:
             return None
         responses = np.column_stack([responses_in(parts, at, phi, dt) for phi in basis_values.T])
-        c = _solved(responses, y).solution
+        c = _factored(responses).solution(y)
         outer = np.delete(sensitivities(at, basis_values @ c, dt, parts), n, axis=1)
         return _Point(theta, c, y - responses @ c, np.hstack([outer, responses]))
 
     start = np.concatenate((block.a, np.array(block.b[1:]) / block.b[0]))
-    found, covariance, iterations = _gauss_newton(model, start, float(np.linalg.norm(y)))
+    found, covariance, iterations = _minimised(model, start, float(np.linalg.norm(y)))
     refined = unpacked(found.theta)
     assert refined is not None
     return Refinement(refined, found.coefficients, covariance, found.variance, iterations)
@@ -281,7 +267,7 @@ def refine_wiener(
         return _Point(theta, e, y - forward(x, e, *points), jacobian)
 
     start = np.array([*block.a, *block.b, *nonlinearity.e])
-    found, covariance, iterations = _gauss_newton(model, start, float(np.linalg.norm(y)))
+    found, covariance, iterations = _minimised(model, start, float(np.linalg.norm(y)))
     refined = _stable(found.theta[:n], found.theta[n:p], block.delay)
     assert refined is not None
     return Refinement(refined, found.coefficients, covariance, found.variance, iterations)

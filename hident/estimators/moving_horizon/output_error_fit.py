@@ -76,7 +76,7 @@ class OutputError(EstimatorSpec):
         values = {f"value {name}" for name in (*names, *(f"se_{name}" for name in names), "iterations")}
         return frozenset({"nonlinearity", "continuous", "response"} | values)
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         self.require_experiments(record)
         begun = self.start.fit(record, rng)
         block, function, dt = begun.continuous, begun.nonlinearity, record.dt

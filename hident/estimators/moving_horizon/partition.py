@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator
 
+from hident.arrays import Array
 from hident.config.spec import Interval
 from hident.errors import EstimationError
-from hident.records import Array
 
 
 def _around_zero(partition: str | tuple[float, float]) -> str | tuple[float, float]:

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
-from hident.records import Array
 
 
 def influence(onto: Array, horizons: Horizons, knots: Knots, a: tuple[float, ...]) -> Array:

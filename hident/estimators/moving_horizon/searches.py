@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array
 from hident.numerics.choices import first_least
-from hident.records import Array
-
-
-@dataclass(frozen=True, eq=False)
-class History:
-    """Parameters by name, each of shape (K,) with a value for each iterate; ``details["history"]``."""
-
-    values: Mapping[str, Array]
-    converged: bool
-    reason: str
 
 
 @dataclass(frozen=True, eq=False)

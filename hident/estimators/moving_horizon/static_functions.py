@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hident.records import Array
+from hident.arrays import Array
 
 
 def powers(u: Array, degree: int) -> Array:

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array
 from hident.numerics.parts import Parts, whole
 from hident.numerics.whole import split, whole_part
-from hident.records import Array
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

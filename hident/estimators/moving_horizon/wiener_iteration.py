@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from hident.arrays import Array
 from hident.estimators.moving_horizon.batched_blocks import responses, time_constants
 from hident.estimators.moving_horizon.four_segment import left_segments, right_segment
 from hident.estimators.moving_horizon.horizon_least_squares import solve
 from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
 from hident.numerics.parts import in_each
-from hident.records import Array
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

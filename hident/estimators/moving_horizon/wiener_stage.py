@@ -13,13 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
+from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Spec
 from hident.errors import EstimationError
+from hident.estimators.convergence import History
 from hident.estimators.moving_horizon.batched_blocks import time_constants
 from hident.estimators.moving_horizon.four_segment import FourSegment, forward, inverse
 from hident.estimators.moving_horizon.linear_transform import block_of
 from hident.estimators.moving_horizon.partition import Partition, require_inside
-from hident.estimators.moving_horizon.searches import History, PartitionSearch, best_pair
+from hident.estimators.moving_horizon.searches import PartitionSearch, best_pair
 from hident.estimators.moving_horizon.wiener_iteration import (
     Flags,
     FourSegments,
@@ -30,9 +32,8 @@ from hident.estimators.moving_horizon.wiener_iteration import (
     Wiener,
     iterate,
 )
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.numerics.parts import in_each, longer_than
-from hident.records import Array, Characteristic
-from hident.systems.continuous import ContinuousTransferFunction
 from hident.systems.nonlinearity import Polynomial
 
 # Iterations after which the search gives up a pair whose model stays inadmissible.
@@ -92,6 +93,7 @@ class WienerStage:
     variable (28b), ``phi`` (K, P) the regressors.
     """
 
+    wiener: Wiener
     block: ContinuousTransferFunction
     nonlinearity: Characteristic
     values: Mapping[str, float]
@@ -134,6 +136,7 @@ def _four_segment_stage(
     block = block_of(a[-1], b[-1], wiener.delay)
     named = dict(zip(spec.coefficients(), e[-1].tolist(), strict=True))
     return WienerStage(
+        wiener,
         block,
         FourSegment(tuple(e[-1].tolist()), lower, upper, block.b[0]),
         named | {"y_-1": lower, "y_1": upper},
@@ -151,6 +154,7 @@ def _polynomial_stage(wiener: Wiener, spec: PolynomialSpec, rule: Rule) -> Wiene
     scaled = np.concatenate(([0.0, 1.0], c[-1])) * block.b[0] ** np.arange(spec.degree + 1)
     x_lin = wiener.internal(run.path[-1:])
     return WienerStage(
+        wiener,
         block,
         Polynomial(coefficients=tuple(scaled.tolist())),
         dict(zip(spec.coefficients(), c[-1].tolist(), strict=True)),

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.config.spec import Component, Interval, component
 from hident.estimators.nonparametric.fourier import trigonometric_series, trigonometric_sums
-from hident.records import Array
 
 # Far out, a weight such as exp(-x^2/2) underflows long before the high orders are negligible: what exceeds
 # exp(-_HELD) is held back, and released as the polynomials grow beyond exp(_RELEASED).

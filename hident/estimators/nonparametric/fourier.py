@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from hident.records import Array
+from hident.arrays import Array
 
 Complex = NDArray[np.complex128]
 _PRECISION = 1e-14

@@ -14,13 +14,15 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, Of, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite
-from hident.estimators.nonparametric.least_squares import ILL_CONDITIONED, dynamics, lagged, require_irregular
+from hident.estimators.nonparametric.least_squares import dynamics, lagged, require_irregular
 from hident.estimators.normalisation import Normalisation, first_coefficient
+from hident.numerics.least_squares import ILL_CONDITIONED, lengths
 from hident.numerics.parts import Parts
-from hident.records import Array, Estimate, Record
+from hident.records import Estimate, Record
 from hident.systems.base import NonlinearitySpec
 
 
@@ -43,8 +45,7 @@ def instrumental_variables(
     Returns
     -------
     Estimate
-        The linear block B/A, the values ``a_1``, ..., ``a_p``, ``b_1``, ..., ``b_q`` and ``c`` = E w_k, and
-        the diagnostic ``condition``: the condition number of Psi'Phi with rows and columns scaled.
+        The linear block B/A, the values ``a_1``, ..., ``a_p``, ``b_1``, ..., ``b_q`` and ``c`` = E w_k.
 
     Raises
     ------
@@ -70,7 +71,7 @@ def instrumental_variables(
     outputs = lagged(y, range(p + 1), start, parts)
     now, phi = outputs[0], outputs[1:]
     psi = lagged(m, range(1 + q, p + q + 1), start, parts)
-    phi_scale, psi_scale = _lengths(phi), _lengths(psi)
+    phi_scale, psi_scale = lengths(phi.T), lengths(psi.T)
     moments = (psi @ phi.T) / np.outer(psi_scale, phi_scale)
     condition = float(np.linalg.cond(moments))
     if not condition < ILL_CONDITIONED:
@@ -98,18 +99,11 @@ def instrumental_variables(
             raise EstimationError(
                 "the moving average has no static gain (1 + b_1 + ... is zero): the constant c cannot be told"
             )
-    return dynamics(a, b, constant / float(b.sum()), condition)
+    return dynamics(a, b, constant / float(b.sum()))
 
 
 # A correlation coefficient below this is rounding.
 _UNCORRELATED = 1e-12
-
-
-def _lengths(rows: Array) -> Array:
-    """Euclidean lengths of the rows, 1 for a row of zeros."""
-    lengths: Array = np.linalg.norm(rows, axis=1)
-    lengths[lengths == 0.0] = 1.0
-    return lengths
 
 
 @component("estimator", "instrumental_variables", source="Mzyk 2009, eq. (12)")
@@ -146,7 +140,7 @@ class InstrumentalVariables(EstimatorSpec):
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (first_coefficient(),)
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         self.require_experiments(record)
         require_finite(record.y)
         require_irregular(record.u, self.order, record.experiments)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from hident.arrays import Array, Characteristic
 from hident.config.spec import Real, Spec, component
 from hident.errors import EstimationError
 from hident.estimators.base import require_finite
@@ -22,9 +23,9 @@ from hident.estimators.nonparametric.kernel_sums import (
 )
 from hident.estimators.nonparametric.prefilter import NonparametricSpec
 from hident.numerics.choices import sorting
-from hident.records import Array, Characteristic, Record
+from hident.records import Record
 
-Kernel = Literal["window_half", "window_unit", "triangular", "epanechnikov", "gaussian"]
+KernelName = Literal["window_half", "window_unit", "triangular", "epanechnikov", "gaussian"]
 Empty = Literal["nearest", "zero", "mean", "fail"]
 
 _COMPACT: dict[str, Window | PiecewiseKernel] = {
@@ -47,7 +48,7 @@ class KernelRegression:
         u: Array,
         y: Array,
         *,
-        kernel: Kernel,
+        kernel: KernelName,
         bandwidth: float,
         empty: Empty,
         order: NDArray[np.intp] | None = None,
@@ -61,7 +62,7 @@ class KernelRegression:
         self._empty = empty
         self._sums = self._kernel_sums(y, kernel)
 
-    def _kernel_sums(self, y: Array, kernel: Kernel) -> GaussianSums | PiecewiseSums | WindowSums:
+    def _kernel_sums(self, y: Array, kernel: KernelName) -> GaussianSums | PiecewiseSums | WindowSums:
         if kernel == "gaussian":
             return GaussianSums(self._u, y, self._bandwidth)
         compact = _COMPACT[kernel]
@@ -122,7 +123,7 @@ def kernel_regression(
     y: Array,
     points: Array,
     *,
-    kernel: Kernel,
+    kernel: KernelName,
     bandwidth: float,
     empty: Empty = "nearest",
     order: NDArray[np.intp] | None = None,
@@ -181,10 +182,10 @@ class Bandwidth(Spec):
 
 
 @component("estimator", "kernel", source="Mzyk 2009, eq. (4), (15)")
-class KernelEstimator(NonparametricSpec):
+class Kernel(NonparametricSpec):
     """Characteristic by kernel regression, plain or with prefilter."""
 
-    kernel: Kernel
+    kernel: KernelName
     """The kernel: window_half is 1 for |x| <= 0.5, window_unit for |x| < 1, with x = (u_k - u)/h."""
     bandwidth: Bandwidth
     """The bandwidth."""

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hident.records import Array
+from hident.arrays import Array
 
 Index = NDArray[np.intp]
 

@@ -9,9 +9,9 @@ import numpy as np
 from hident.config.spec import component
 from hident.estimators.base import EstimatorSpec, Experiments
 from hident.estimators.normalisation import Normalisation, first_coefficient
+from hident.linear_blocks import TransferFunction
 from hident.records import Estimate, Record
 from hident.systems.base import Coefficients, Numerator
-from hident.systems.linear import TransferFunction
 
 
 @component("estimator", "known_dynamics")
@@ -42,7 +42,7 @@ class KnownDynamics(EstimatorSpec):
         lag = next(i for i, b in enumerate(self.b) if b)
         return (first_coefficient(lag, self.b[lag]),)
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         self.require_experiments(record)
         block = self._block()
         return Estimate(linear=block, values=block.values())

@@ -10,17 +10,15 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite
 from hident.estimators.normalisation import Normalisation, first_coefficient
+from hident.linear_blocks import TransferFunction
+from hident.numerics.least_squares import Factorisation
 from hident.numerics.parts import Parts, in_each, longer_than, whole
-from hident.records import Array, Estimate, Record
-from hident.systems.linear import TransferFunction
-
-ILL_CONDITIONED = 1e12
-"""Condition number, of columns scaled to length one, from which an estimate counts as singular."""
-
+from hident.records import Estimate, Record
 
 # A residual this small, relative to the output, is rounding.
 _ROUNDING = 1e-12
@@ -51,11 +49,11 @@ def lagged(x: Array, lags: range, start: int, parts: Parts | None = None) -> Arr
     return in_each(long, rows_of, x, axis=1)
 
 
-def dynamics(a: Array, b: Array, c: float, condition: float) -> Estimate:
+def dynamics(a: Array, b: Array, c: float) -> Estimate:
     """The estimate of a block with numerator ``b`` (b_0 = 1, b_1, ...) and feedback ``a`` (a_1, ..., a_p)."""
     linear = TransferFunction(b=tuple(b.tolist()), a=tuple(a.tolist()))
     values = {name: value for name, value in linear.values().items() if name != "b_0"}
-    return Estimate(linear=linear, values={**values, "c": c}, diagnostics={"condition": condition})
+    return Estimate(linear=linear, values={**values, "c": c})
 
 
 def require_irregular(u: Array, p: int, parts: Parts | None = None) -> None:
@@ -89,8 +87,7 @@ def least_squares(y: Array, p: int, parts: Parts | None = None) -> Estimate:
     Returns
     -------
     Estimate
-        The linear block with b = (1,), the values ``a_1``, ..., ``a_p`` and ``c``, and the diagnostic
-        ``condition``: the condition number of the regressors scaled to length one.
+        The linear block with b = (1,), the values ``a_1``, ..., ``a_p`` and ``c``.
 
     Raises
     ------
@@ -106,17 +103,14 @@ def least_squares(y: Array, p: int, parts: Parts | None = None) -> Estimate:
     # Mzyk 2009, eq. (9), (11)
     rows = lagged(y, range(p + 1), p, parts)
     now, phi = rows[0], rows[1:]
-    scale = np.linalg.norm(phi, axis=1)
-    scale[scale == 0.0] = 1.0
-    phi /= scale[:, None]
-    theta, _, _, singular_values = np.linalg.lstsq(phi.T, now, rcond=None)
-    if phi.shape[1] <= p or singular_values[-1] * ILL_CONDITIONED <= singular_values[0]:
+    regression = Factorisation.of(phi.T)
+    if phi.shape[1] <= p or regression.is_dependent:
         raise EstimationError(
             "the past outputs are linearly dependent: the output hardly varies, the record is too short, "
             f"or the order {p} is too high"
         )
-    theta = theta / scale
-    return dynamics(theta[:p], np.ones(1), float(theta[p]), float(singular_values[0] / singular_values[-1]))
+    theta = regression.solution(now)
+    return dynamics(theta[:p], np.ones(1), float(theta[p]))
 
 
 @component("estimator", "least_squares")
@@ -147,7 +141,7 @@ class LeastSquares(EstimatorSpec):
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (first_coefficient(),)
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         self.require_experiments(record)
         require_finite(record.y)
         require_irregular(record.u, self.order, record.experiments)

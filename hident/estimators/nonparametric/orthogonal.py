@@ -17,13 +17,14 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from hident.arrays import Array, Characteristic
 from hident.config.spec import Of, Real, Spec, component
 from hident.errors import EstimationError
 from hident.estimators.base import require_finite
 from hident.estimators.nonparametric.bases import BasisSpec
 from hident.estimators.nonparametric.prefilter import NonparametricSpec
 from hident.numerics.whole import whole_part
-from hident.records import Array, Characteristic, Record
+from hident.records import Record
 
 Density = Callable[[Array], Array]
 

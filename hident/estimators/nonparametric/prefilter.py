@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic_core import PydanticCustomError
 
+from hident.arrays import Array, Characteristic
 from hident.config.spec import Component, Of, Real, Spec, components
 from hident.config.suggest import one_of
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_varying
 from hident.estimators.normalisation import Normalisation, first_coefficient
+from hident.linear_blocks import TransferFunction
 from hident.numerics.parts import Parts, in_each, longer_than, whole
-from hident.records import Array, Characteristic, Estimate, Record
-from hident.systems.linear import TransferFunction
+from hident.records import Estimate, Record
 
 
 def prefilter(y: Array, linear: TransferFunction, parts: Parts | None = None) -> Array:
@@ -186,7 +187,7 @@ class NonparametricSpec(EstimatorSpec):
         left_in = "" if self.known_point else ", a constant left in"
         return (replace(plain, rule=plain.rule + left_in),)
 
-    def fit(self, record: Record, rng: np.random.Generator) -> Estimate:
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         self.require_experiments(record)
         require_varying(record.u, "input")
         dynamics = self.prefilter.fit(record, rng) if self.prefilter else Estimate()

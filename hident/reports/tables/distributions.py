@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from hident.config.spec import Count, Spec, component
+from hident.arrays import Array
+from hident.config.references import CaseLabels, EstimatorName, Metric
+from hident.config.spec import Count, NonEmpty, Spec, component
 from hident.config.suggest import did_you_mean, one_of
 from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside_trials
-from hident.records import Array
-from hident.reports.base import Misfit, Reference, Table, TableSpec, label_references
-from hident.reports.tables import LEGEND, SIGNS, intervals, written
+from hident.reports.base import Misfit, Table, TableSpec
+from hident.reports.tables.writing import judged, legend, written
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,9 +32,9 @@ class Group(Spec):
 
     label: str
     """Text of the row."""
-    estimator: str
+    estimator: EstimatorName
     """Name of the estimator."""
-    at: dict[str, Any] = {}
+    at: CaseLabels = {}
     """Labels of axes that choose the case; the first case by default."""
     metric: str
     """Name of the metric; with a column's value it makes the label, e.g. 'theta a_1'."""
@@ -63,13 +64,26 @@ def percentile(values: Array, printed: float) -> float:
     return 100.0 * float(np.mean(values < printed) + 0.5 * np.mean(values == printed))
 
 
+def _metrics(table: Distribution, row: Group) -> dict[str, str]:
+    """The label of the metric in each column that the row fills."""
+    return {
+        heading: row.metrics.get(heading, f"{row.metric} {name}")
+        for heading, name in table.columns.items()
+        if heading not in row.without
+    }
+
+
+# Whether they score the row's estimator is for the table to say, with its remedy.
+_LABELS = Metric(labels=lambda table, row: _metrics(table, row).values(), scores=())
+
+
 @component("table", "distribution")
 class Distribution(TableSpec):
     """One row for each printed row: median and 5 to 95 % of single trials, below them what is printed."""
 
     row_header: str = "case"
     """Heading of the first column."""
-    rows: Annotated[tuple[Group, ...], Field(min_length=1)]
+    rows: NonEmpty[Annotated[Group, _LABELS]]
     """The rows."""
     columns: Annotated[dict[str, str], Field(min_length=1)]
     """Name of the value in each column by its heading, e.g. {a3: a_3}."""
@@ -89,13 +103,6 @@ class Distribution(TableSpec):
                     )
         return self
 
-    def references(self) -> Iterator[Reference]:
-        for i, row in enumerate(self.rows):
-            yield ("rows", i, "estimator"), "estimator", row.estimator
-            yield from label_references(("rows", i, "at"), row.at)
-            for metric in self._metrics(row).values():
-                yield ("rows", i), "metric", metric
-
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         for i, row in enumerate(self.rows):
             scored = {
@@ -104,21 +111,13 @@ class Distribution(TableSpec):
                 if unit.name == row.estimator and unit.is_at(row.at)
                 for label in unit.metric_labels
             }
-            for heading, metric in self._metrics(row).items():
+            for heading, metric in _metrics(self, row).items():
                 if metric not in scored:
                     yield (
                         ("rows", i),
                         f"the metric '{metric}' does not score the estimator '{row.estimator}'; "
                         f"'without: [{heading}]' leaves the cell empty",
                     )
-
-    def _metrics(self, row: Group) -> dict[str, str]:
-        """The label of the metric in each column that the row fills."""
-        return {
-            heading: row.metrics.get(heading, f"{row.metric} {name}")
-            for heading, name in self.columns.items()
-            if heading not in row.without
-        }
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         printed = beside_trials(verdicts)
@@ -131,13 +130,15 @@ class Distribution(TableSpec):
             if any(cell.verdict for cell in own.values()):
                 rows.append(("printed", *(_printed(own.get(heading)) for heading in self.columns)))
             if failures := max(int(cell.series.statistics["failed"]) for cell in own.values()):
-                failed.append(f"{row.label}: {failures} of {results.trials} trials failed and are left out.")
-        explained = (_OURS, _PERCENTILE, LEGEND, *intervals(verdicts)) if verdicts else (_OURS,)
+                failed.append(
+                    f"{row.label}: {failures} of {results.plan.trials} trials failed and are left out."
+                )
+        explained = (_OURS, _PERCENTILE, *legend(verdicts)) if verdicts else (_OURS,)
         header = (self.row_header, *self.columns)
         return Table(self.title, header, tuple(rows), (*explained, *failed), _data(results, cells))
 
     def _cells(self, results: Results, row: Group, printed: Mapping[int, Verdict]) -> Iterator[_Cell]:
-        for heading, metric in self._metrics(row).items():
+        for heading, metric in _metrics(self, row).items():
             series = next(results.select(row.estimator, metric, row.at))
             yield _Cell(row, heading, series, printed.get(id(series)))
 
@@ -153,8 +154,7 @@ class Distribution(TableSpec):
 def _printed(cell: _Cell | None) -> str:
     if cell is None or cell.verdict is None:
         return ""
-    verdict = cell.verdict
-    return f"{verdict.printed.printed} {SIGNS[verdict.word]} p{cell.percentile:.0f}"
+    return f"{judged(cell.verdict)} p{cell.percentile:.0f}"
 
 
 def _data(results: Results, cells: Sequence[_Cell]) -> pd.DataFrame:

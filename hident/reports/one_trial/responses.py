@@ -8,19 +8,20 @@ from typing import TYPE_CHECKING, Annotated, Protocol, runtime_checkable
 import numpy as np
 from pydantic import Field
 
-from hident.config.spec import Count, Interval, Of, Spec, component
+from hident.arrays import Array
+from hident.config.spec import Count, Interval, NonEmpty, Of, Spec, component
 from hident.engine.experiment import Plan
+from hident.engine.replay import OneTrial
 from hident.engine.results import Results
 from hident.engine.trial import Data
 from hident.errors import TrialFailed
 from hident.ledger.verdicts import Verdict
 from hident.metrics.models import fit_error, has_stable_block, validation_input
 from hident.numerics.rounding import is_constant
-from hident.records import Array, Response
-from hident.reports.base import Misfit, Reference
-from hident.reports.one_trial import (
+from hident.records import Response, needed
+from hident.reports.base import Misfit
+from hident.reports.one_trial.base import (
     Offset,
-    OneTrial,
     OneTrialFigure,
     Shown,
     list_failures,
@@ -43,7 +44,7 @@ class ResponsePanel(Spec):
 
     title: str = ""
     """Title of the panel."""
-    curves: Annotated[tuple[Shown, ...], Field(min_length=1)]
+    curves: NonEmpty[Shown]
     """The estimates that predict; the first one's system gives the actual response."""
     y_offset: Offset = 0.0
     """Added to the ordinate: a number, or the name of a true value such as steady_output."""
@@ -61,7 +62,7 @@ class Validation(OneTrialFigure):
     """The input of the validation; a random one is the same as that of the metric validation_error."""
     samples: Annotated[Count, Field(ge=2)]
     """Its length, at the sampling interval of the data."""
-    panels: Annotated[tuple[ResponsePanel, ...], Field(min_length=1)]
+    panels: NonEmpty[ResponsePanel]
     """The panels, one below the other."""
     x_offset: Offset = 0.0
     """Added to the input: a number, or a true value of the first system such as steady_input."""
@@ -71,11 +72,6 @@ class Validation(OneTrialFigure):
     """Label of the input, with its unit."""
     y_label: str
     """Label of the output, with its unit."""
-
-    def references(self) -> Iterator[Reference]:
-        for i, panel in enumerate(self.panels):
-            for j, curve in enumerate(panel.curves):
-                yield from curve.references(("panels", i, "curves", j))
 
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         for i, panel in enumerate(self.panels):
@@ -88,10 +84,10 @@ class Validation(OneTrialFigure):
         try:
             self.excitation.check(self.samples, self.panels[0].curves[0].unit(plan).data.dt or 1.0)
         except ValueError as error:
-            yield "excitation", str(error)
+            yield ("excitation",), str(error)
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        trial = OneTrial(results, self.trial)
+        trial = OneTrial(results.plan, self.trial)
         lines = looks(curve.text for panel in self.panels for curve in panel.curves)
         count = len(self.panels)
         figure, grid = subplots(
@@ -153,10 +149,9 @@ class Validation(OneTrialFigure):
 
 def _respond(response: Response | None, u: Array, dt: float) -> tuple[Array | None, str]:
     """The response, or None and why it failed."""
-    assert response is not None
     try:
         with np.errstate(all="ignore"):
-            return response(u, dt), ""
+            return needed(response)(u, dt), ""
     except TrialFailed as error:
         return None, str(error)
 
@@ -173,7 +168,7 @@ class Settles(Protocol):
 class SettlingMap(OneTrialFigure):
     """Settling time of the linearised system against the operating point, and of the estimated blocks."""
 
-    curves: Annotated[tuple[Shown, ...], Field(min_length=1)]
+    curves: NonEmpty[Shown]
     """The estimates; the first one's system gives the truth."""
     interval: Interval
     """Range of the operating points."""
@@ -184,10 +179,6 @@ class SettlingMap(OneTrialFigure):
     y_label: str
     """Label of the ordinate, with the unit of time."""
 
-    def references(self) -> Iterator[Reference]:
-        for i, curve in enumerate(self.curves):
-            yield from curve.references(("curves", i))
-
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         for i, curve in enumerate(self.curves):
             if "continuous" not in curve.unit(plan).estimator.provides():
@@ -195,10 +186,10 @@ class SettlingMap(OneTrialFigure):
                 yield ("curves", i, "estimator"), without
         system = self.curves[0].unit(plan).data.system
         if not isinstance(system, Settles):
-            yield "kind", f"the system '{system.kind}' has no settling time that varies with its input"
+            yield ("kind",), f"the system '{system.kind}' has no settling time that varies with its input"
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        trial = OneTrial(results, self.trial)
+        trial = OneTrial(results.plan, self.trial)
         lines = looks(curve.text for curve in self.curves)
         figure, (axes,) = panel_grid(1, 1, 4.8, 2.9)
         system = trial.of(self.curves[0].estimator, self.curves[0].at).unit.data.system
@@ -212,8 +203,7 @@ class SettlingMap(OneTrialFigure):
             if realised.found is None:
                 failures.append(f"{curve.text} failed: {realised.failure}")
                 continue
-            assert realised.found.continuous is not None  # by misfits
-            constant = np.full(_OPERATING_POINTS, realised.found.continuous.settling_time())
+            constant = np.full(_OPERATING_POINTS, needed(realised.found.continuous).settling_time())
             look = marked(lines[curve.text], place, _OPERATING_POINTS)
             axes.plot(x, constant, label=curve.text, **look)
         list_failures(axes, failures)

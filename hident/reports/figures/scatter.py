@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
-from hident.config.spec import Count, Flag, Spec, component
-from hident.engine.experiment import Plan
+from hident.arrays import Array
+from hident.config.references import CaseLabels, EstimatorName, MetricLabel
+from hident.config.spec import Count, Flag, NonEmpty, Spec, component
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside_trials
-from hident.records import Array
-from hident.reports.base import FigureSpec, Misfit, Place, Reference, label_references, unscored
+from hident.reports.base import FigureSpec
 from hident.reports.style import LINES, legend_above, panel_grid
 
 if TYPE_CHECKING:
@@ -33,11 +33,11 @@ _PRINTED: dict[str, Any] = {
 class Coordinate(Spec):
     """What is shown along one axis of a panel."""
 
-    estimator: str
+    estimator: EstimatorName
     """Name of the estimator."""
-    metric: str
+    metric: MetricLabel
     """Label of the metric."""
-    at: dict[str, Any] = {}
+    at: CaseLabels = {}
     """Labels of axes that choose the case; the first case by default."""
     label: str | None = None
     """Label of the axis, with its unit; estimator and metric by default."""
@@ -46,12 +46,6 @@ class Coordinate(Spec):
     def text(self) -> str:
         """What stands at the axis."""
         return f"{self.estimator}, {self.metric}" if self.label is None else self.label
-
-    def references(self, place: Place) -> Iterator[Reference]:
-        """The names that it refers to; it stands at the place."""
-        yield (*place, "estimator"), "estimator", self.estimator
-        yield (*place, "metric"), "metric", self.metric
-        yield from label_references((*place, "at"), self.at)
 
     def series(self, results: Results) -> Series:
         """The trials that it shows."""
@@ -68,11 +62,6 @@ class ScatterPanel(Spec):
     title: str = ""
     """Title of the panel."""
 
-    def coordinates(self, place: Place) -> Iterator[tuple[Place, Coordinate]]:
-        """Both axes with their places."""
-        yield (*place, "x"), self.x
-        yield (*place, "y"), self.y
-
 
 @component("figure", "scatter")
 class Scatter(FigureSpec):
@@ -81,24 +70,12 @@ class Scatter(FigureSpec):
     The title gives Spearman's coefficient of rank correlation.
     """
 
-    panels: Annotated[tuple[ScatterPanel, ...], Field(min_length=1)]
+    panels: NonEmpty[ScatterPanel]
     """The panels."""
     columns: Annotated[Count, Field(ge=1)] = 2
     """Panels in a row."""
     log: Flag = False
     """Logarithmic axes."""
-
-    def _coordinates(self) -> Iterator[tuple[Place, Coordinate]]:
-        for i, panel in enumerate(self.panels):
-            yield from panel.coordinates(("panels", i))
-
-    def references(self) -> Iterator[Reference]:
-        for place, coordinate in self._coordinates():
-            yield from coordinate.references(place)
-
-    def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        for place, coordinate in self._coordinates():
-            yield from unscored(plan, (*place, "metric"), coordinate.estimator, coordinate.metric)
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         printed = {series: verdict.printed.value for series, verdict in beside_trials(verdicts).items()}

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from pydantic import Field
 
+from hident.config.references import AxisName, CaseLabels
 from hident.config.spec import Count, component
 from hident.engine.experiment import Plan, PublishedCells
 from hident.engine.results import Results
-from hident.ledger.published import cells_astray, printed_beside, read_published
+from hident.ledger.published import cells_astray, printed_beside, published_of
 from hident.ledger.verdicts import Verdict
-from hident.reports.base import Misfit, Reference, Table, TableSpec
+from hident.reports.base import Misfit, Table, TableSpec
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,28 +24,18 @@ _NOTE = "Distance: mean over the rows of |log(ours / printed)|; 0.1 is about 10 
 
 
 class _Distances(TableSpec):
-    rows: str
+    rows: AxisName
     """The axis over which the printed numbers are averaged."""
     cells: tuple[PublishedCells, ...]
     """The correspondence of cells; several may name the same printed quantity."""
     best: Annotated[Count, Field(ge=1)] = 3
     """How many of the nearest settings are shown; the CSV holds all."""
-    at: dict[str, Any] = {}
+    at: CaseLabels = {}
     """Labels of axes that limit the settings; all by default."""
-
-    def references(self) -> Iterator[Reference]:
-        yield "rows", "axis", self.rows
-        for axis, label in self.at.items():
-            yield "at", "axis", axis
-            yield "at", f"label of {axis}", str(label)
-        for i, cell in enumerate(self.cells):
-            yield ("cells", i, "estimator"), "estimator", cell.estimator
-            for _, metric in cell.pairs():
-                yield ("cells", i, "metric"), "metric", metric
 
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         if plan.paper is None:
-            yield "cells", "needs 'paper', the folder under experiments/ with the numbers"
+            yield ("cells",), "needs 'paper', the folder under experiments/ with the numbers"
         for i, message in cells_astray(plan, self.cells):
             yield ("cells", i), message
 
@@ -53,9 +44,7 @@ class _Distances(TableSpec):
 
     def distances(self, results: Results) -> dict[tuple[str, ...], float]:
         """The distance by metric, statistic, quantity and labels; '' for an axis that does not matter."""
-        paper = results.plan.paper
-        assert paper is not None
-        numbers = read_published(paper)
+        numbers = published_of(results.plan)
         ratios: dict[tuple[str, ...], list[float]] = {}
         every = ((cell, *pair) for cell in self.cells for pair in cell.pairs())
         for cell, quantity, metric in every:

@@ -8,17 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from hident.config.spec import Count, Interval, Spec, component
+from hident.arrays import Array
+from hident.config.spec import Count, Interval, NonEmpty, Spec, component
+from hident.config.yaml12 import Location
 from hident.engine.experiment import Plan
+from hident.engine.replay import OneTrial, Realised
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
-from hident.records import Array, Estimate
-from hident.reports.base import Misfit, Place, Reference
-from hident.reports.one_trial import (
+from hident.records import Estimate, needed
+from hident.reports.base import Misfit
+from hident.reports.one_trial.base import (
     Offset,
-    OneTrial,
     OneTrialFigure,
-    Realised,
     Shown,
     list_failures,
     offset_misfits,
@@ -62,8 +63,8 @@ class StaticCurve(Shown):
 def _static_gain(found: Estimate) -> float:
     if found.continuous is not None:
         return found.continuous.b[0]
-    assert found.linear is not None
-    return float(np.sum(found.linear.b) / np.sum(found.linear.denominator))
+    linear = needed(found.linear)
+    return float(np.sum(linear.b) / np.sum(linear.denominator))
 
 
 class StaticPanel(Spec):
@@ -71,7 +72,7 @@ class StaticPanel(Spec):
 
     title: str = ""
     """Title of the panel."""
-    curves: Annotated[tuple[StaticCurve, ...], Field(min_length=1)]
+    curves: NonEmpty[StaticCurve]
     """The estimates; the first one's system gives the truth."""
     interval: Interval
     """Range of the abscissa, as shown."""
@@ -84,12 +85,7 @@ class StaticPanel(Spec):
     partition: Literal["input", "output"] | None = None
     """Mark the partition points on the abscissa (input: u_-1, u_1) or the ordinate (output: y_-1, y_1)."""
 
-    def references(self, place: Place) -> Iterator[Reference]:
-        """The names that it refers to; it stands at the place."""
-        for i, curve in enumerate(self.curves):
-            yield from curve.references((*place, "curves", i))
-
-    def misfits(self, plan: Plan, place: Place) -> Iterator[Misfit]:
+    def misfits(self, plan: Plan, place: Location) -> Iterator[Misfit]:
         """What cannot be shown of this plan."""
         first = {"of_truth": "nonlinearity"}
         for i, curve in enumerate(self.curves):
@@ -114,7 +110,7 @@ class StaticPanel(Spec):
 class StaticFit(OneTrialFigure):
     """The true characteristic and the estimates of one trial, with the points that they rest on."""
 
-    panels: Annotated[tuple[StaticPanel, ...], Field(min_length=1)]
+    panels: NonEmpty[StaticPanel]
     """The panels."""
     x_label: str
     """Label of the abscissa, with its unit."""
@@ -123,16 +119,12 @@ class StaticFit(OneTrialFigure):
     columns: Annotated[Count, Field(ge=1)] = 2
     """Panels in a row."""
 
-    def references(self) -> Iterator[Reference]:
-        for i, panel in enumerate(self.panels):
-            yield from panel.references(("panels", i))
-
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         for i, panel in enumerate(self.panels):
             yield from panel.misfits(plan, ("panels", i))
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        trial = OneTrial(results, self.trial)
+        trial = OneTrial(results.plan, self.trial)
         lines = looks(curve.text for panel in self.panels for curve in panel.curves)
         width = 3.6 if len(self.panels) > 1 else 4.8
         figure, grid = panel_grid(len(self.panels), self.columns, width, 2.9)
@@ -167,8 +159,7 @@ def draw_static(axes: Axes, panel: StaticPanel, trial: OneTrial, lines: Mapping[
 def _draw_estimate(
     axes: Axes, panel: StaticPanel, curve: StaticCurve, realised: Realised, line: Look
 ) -> None:
-    found = realised.found
-    assert found is not None
+    found = needed(realised.found)
     x_offset, y_offset = (offset_of(realised.truth, offset) for offset in (panel.x_offset, panel.y_offset))
     if "points" in curve.show:
         x, y = realised.detail("internal_variable")

@@ -9,22 +9,22 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from hident.config.spec import Count, Flag, component
-from hident.engine.experiment import Plan
+from hident.arrays import Array
+from hident.config.references import Metric
+from hident.config.spec import Count, Flag, NonEmpty, component
+from hident.engine.replay import OneTrial, Realised
 from hident.engine.results import Results
-from hident.estimators.moving_horizon.searches import History
+from hident.estimators.convergence import History
 from hident.ledger.verdicts import Verdict
 from hident.metrics.base import MetricSpec
-from hident.records import Array, Estimate
-from hident.reports.base import Misfit, Reference, unscored
-from hident.reports.one_trial import OneTrial, OneTrialFigure, Realised, Shown, list_failures
+from hident.records import Estimate, needed
+from hident.reports.one_trial.base import OneTrialFigure, Shown, list_failures
 from hident.reports.style import TRUTH, legend_above, looks, panel_grid, symbol
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hident.systems.continuous import ContinuousTransferFunction
-    from hident.systems.linear import TransferFunction
+    from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 
 
 @component("figure", "convergence", source="Chen, Hwang, Chang 2009, figures 5, 8 and 10b")
@@ -35,11 +35,11 @@ class Convergence(OneTrialFigure):
     final ones.
     """
 
-    curves: Annotated[tuple[Shown, ...], Field(min_length=1)]
+    curves: NonEmpty[Shown]
     """The estimates whose iterations are shown."""
     of: tuple[str, ...] = ()
     """Names of parameters in the history, one panel each."""
-    metrics: tuple[str, ...] = ()
+    metrics: tuple[Annotated[str, Metric(scores=("curves",))], ...] = ()
     """Labels of metrics that score every iterate, one panel each."""
     y_labels: dict[str, str] = {}
     """Labels of ordinates by parameter or metric, with their units; the name by default."""
@@ -58,21 +58,10 @@ class Convergence(OneTrialFigure):
             raise ValueError(f"y_labels names {', '.join(strange)}, which is not shown")
         return self
 
-    def references(self) -> Iterator[Reference]:
-        for i, curve in enumerate(self.curves):
-            yield from curve.references(("curves", i))
-        for i, metric in enumerate(self.metrics):
-            yield ("metrics", i), "metric", metric
-
-    def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        for i, metric in enumerate(self.metrics):
-            for curve in self.curves:
-                yield from unscored(plan, ("metrics", i), curve.estimator, metric)
-
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         from matplotlib.ticker import MaxNLocator
 
-        trial = OneTrial(results, self.trial)
+        trial = OneTrial(results.plan, self.trial)
         names = (*self.of, *self.metrics)
         figure, grid = panel_grid(len(names), self.columns, 3.5 if len(names) > 1 else 4.6, 2.6)
         lines = looks(curve.text for curve in self.curves)
@@ -120,13 +109,12 @@ def along(realised: Realised, name: str) -> Array:
 
 def scores(realised: Realised, label: str) -> Array:
     """A metric's number at every iteration, shape (iterations + 1,); nan where there is no estimate."""
-    assert realised.found is not None
-    assert realised.record is not None
+    estimate, record = needed(realised.found), needed(realised.record)
     metric, place = _metric(realised, label)
     found = []
     with np.errstate(all="ignore"):
-        for iterate in iterates(realised.found, realised.detail("history")):
-            scored = np.nan if iterate is None else metric.evaluate(iterate, realised.record)[place]
+        for iterate in iterates(estimate, realised.detail("history")):
+            scored = np.nan if iterate is None else metric.evaluate(iterate, record)[place]
             found.append(scored)
     return np.array(found, dtype=float)
 

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from hident.config.spec import Count, component
+from hident.arrays import Array
+from hident.config.spec import Count, NonEmpty, component
+from hident.engine.replay import OneTrial
 from hident.engine.results import Results
 from hident.estimators.moving_horizon.searches import PartitionSearch, StructureSearch
 from hident.ledger.verdicts import Verdict
-from hident.records import Array
-from hident.reports.base import Reference
-from hident.reports.one_trial import NOTE, OneTrial, OneTrialFigure, Shown, say_failed
+from hident.reports.one_trial.base import NOTE, OneTrialFigure, Shown, say_failed
 from hident.reports.style import LINES, legend_above, panel_grid
 
 if TYPE_CHECKING:
@@ -49,17 +49,13 @@ class Search(OneTrialFigure):
     its least value on the grid, and a cross at the best pair after the refinements.
     """
 
-    panels: Annotated[tuple[SearchPanel, ...], Field(min_length=1)]
+    panels: NonEmpty[SearchPanel]
     """The panels; the label of each is its title."""
     columns: Annotated[Count, Field(ge=1)] = 2
     """Panels in a row."""
 
-    def references(self) -> Iterator[Reference]:
-        for i, panel in enumerate(self.panels):
-            yield from panel.references(("panels", i))
-
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        trial = OneTrial(results, self.trial)
+        trial = OneTrial(results.plan, self.trial)
         figure, grid = panel_grid(len(self.panels), self.columns, 3.3, 2.7)
         for panel, axes in zip(self.panels, grid, strict=True):
             axes.set_title(panel.text)

@@ -21,11 +21,8 @@ from itertools import accumulate
 
 import numpy as np
 from numpy.polynomial import polynomial
-from numpy.typing import NDArray
 
-from hident.records import Array
-
-Complex = NDArray[np.complex128]
+from hident.arrays import Array, Complex
 
 # Cells in time constants, or radians, of the fastest mode that is alive.
 _CELL = 0.25

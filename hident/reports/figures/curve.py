@@ -1,4 +1,4 @@
-"""Figures, each written as one PNG."""
+"""The figure of a metric against a numeric axis."""
 
 from __future__ import annotations
 
@@ -7,21 +7,19 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from pydantic import Field
 
-from hident.config.spec import Flag, Interval, Real, Spec, component
+from hident.arrays import Array
+from hident.config.references import EstimatorName, Metric, NumericAxis
+from hident.config.spec import Flag, NonEmpty, Real, Spec, component
 from hident.engine.experiment import Plan, Statistic
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Beside, Verdict, beside
-from hident.records import Array
-from hident.reports.base import FigureSpec, Misfit, Reference, label_references, not_numeric, unscored
-from hident.reports.one_trial import OneTrial, OneTrialFigure, Realised, say_failed, true_curve
-from hident.reports.style import DATA, ESTIMATE, LINES, TRUTH, legend_above, subplots
+from hident.reports.base import FigureSpec, Misfit, unscored
+from hident.reports.style import LINES, subplots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
 
 _MOST_TICKS = 7
 _MOST_ENTRIES = 4
@@ -40,9 +38,9 @@ class Slope(Spec):
 class Curve(FigureSpec):
     """A metric against a numeric axis: mean, band of the central 90 % of trials, printed numbers."""
 
-    x: str
+    x: Annotated[str, NumericAxis(positive="log_x")]
     """The axis along the abscissa; its labels are numbers."""
-    metric: str
+    metric: Annotated[str, Metric(scores=("panels",))]
     """Label of the metric."""
     statistic: Statistic = "mean"
     """The statistic drawn as a line."""
@@ -60,21 +58,12 @@ class Curve(FigureSpec):
     """Logarithmic ordinate."""
     slopes: tuple[Slope, ...] = ()
     """Reference lines, each starting at half the height of the first curve."""
-    panels: tuple[Annotated[tuple[str, ...], Field(min_length=1)], ...] = ()
+    panels: tuple[NonEmpty[EstimatorName], ...] = ()
     """Names of estimators for each panel, on common axes; one panel with all by default."""
 
-    def references(self) -> Iterator[Reference]:
-        yield "x", "axis", self.x
-        yield "metric", "metric", self.metric
-        for i, panel in enumerate(self.panels):
-            for j, name in enumerate(panel):
-                yield ("panels", i, j), "estimator", name
-
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        yield from not_numeric(plan, "x", self.x, positive=self.log_x)
-        for i, panel in enumerate(self._panels(plan)):
-            for j, name in enumerate(panel):
-                yield from unscored(plan, ("panels", i, j) if self.panels else "metric", name, self.metric)
+        for name in () if self.panels else plan.experiment.estimators:
+            yield from unscored(plan, ("metric",), name, self.metric)
 
     def _panels(self, plan: Plan) -> tuple[tuple[str, ...], ...]:
         return self.panels or (tuple(plan.experiment.estimators),)
@@ -179,74 +168,3 @@ class Curve(FigureSpec):
                 linewidth=1.0,
                 label=reference.label,
             )
-
-
-@component("figure", "realisation")
-class Realisation(OneTrialFigure):
-    """The estimates of one trial against the true characteristic, with the data."""
-
-    at: Annotated[tuple[dict[str, Any], ...], Field(min_length=1)] = ({},)
-    """Labels of the cases, one panel for each, e.g. [{samples: 50}, {samples: 500}]."""
-    estimators: Annotated[tuple[str, ...], Field(min_length=1)]
-    """Names of the estimators."""
-    names: dict[str, str] = {}
-    """Symbols of axes for the titles, e.g. {samples: N}."""
-    interval: Interval
-    """Range of the abscissa."""
-    y_limits: Interval | None = None
-    """Range of the ordinate; by the truth and the estimates by default."""
-    x_label: str = "u"
-    """Label of the abscissa."""
-    y_label: str = "y, μ(u)"
-    """Label of the ordinate."""
-
-    def references(self) -> Iterator[Reference]:
-        for i, labels in enumerate(self.at):
-            yield from label_references(("at", i), labels)
-        for i, estimator in enumerate(self.estimators):
-            yield ("estimators", i), "estimator", estimator
-
-    def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        for i, estimator in enumerate(self.estimators):
-            unit = next(unit for unit in plan.units if unit.name == estimator)
-            if "nonlinearity" not in unit.estimator.provides():
-                yield ("estimators", i), f"the estimator '{estimator}' does not give a nonlinearity"
-        if "nonlinearity" not in plan.units[0].data.system.provides():
-            yield "kind", "the system has no true nonlinearity to show"
-
-    def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        rows, columns = len(self.at), len(self.estimators)
-        figure, grid = subplots(
-            rows,
-            columns,
-            squeeze=False,
-            sharex=True,
-            sharey=True,
-            figsize=(min(2.5 * columns + 0.4, 10.5), 2.2 * rows + 0.5),
-        )
-        trial = OneTrial(results, self.trial)
-        for labels, row in zip(self.at, grid, strict=True):
-            for name, axes in zip(self.estimators, row, strict=True):
-                self._panel(axes, trial.of(name, labels))
-                case = ", ".join(f"{self.names.get(axis, axis)} = {label}" for axis, label in labels.items())
-                axes.set_title(f"{name}{', ' if case else ''}{case}")
-        for axes in grid[-1]:
-            axes.set_xlabel(self.x_label)
-        for axes in grid[:, 0]:
-            axes.set_ylabel(self.y_label)
-        legend_above(figure)
-        return figure
-
-    def _panel(self, axes: Axes, realised: Realised) -> None:
-        u = np.linspace(*self.interval, 2001)
-        if realised.record is not None:
-            axes.plot(realised.record.u, realised.record.y, label="data", **DATA)
-        axes.plot(u, true_curve(realised.truth, u), label="true μ", **TRUTH)
-        if realised.found is None:
-            say_failed(axes, f"failed: {realised.failure}")
-        else:
-            assert realised.found.nonlinearity is not None
-            with np.errstate(all="ignore"):
-                axes.plot(u, realised.found.nonlinearity(u), label="estimate", **ESTIMATE)
-        if self.y_limits is not None:
-            axes.set_ylim(*self.y_limits)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from typing import Annotated
+from collections.abc import Sequence
 
 import numpy as np
-from pydantic import Field
 
-from hident.config.spec import component
-from hident.engine.experiment import Plan
+from hident.config.references import EstimatorName, MetricLabel
+from hident.config.spec import NonEmpty, component
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict
-from hident.reports.base import Misfit, Reference, Table, TableSpec, unscored
+from hident.reports.base import Table, TableSpec
 
 Outcome = tuple[float, ...] | None
 """The values that come out together; None for a failed trial."""
@@ -23,21 +21,10 @@ Outcome = tuple[float, ...] | None
 class Choices(TableSpec):
     """One row for each estimator and case, one column for each outcome: its percentage of the trials."""
 
-    of: Annotated[tuple[str, ...], Field(min_length=1)]
+    of: NonEmpty[MetricLabel]
     """Labels of the metrics whose values make an outcome, e.g. [structure n, structure m]."""
-    estimators: Annotated[tuple[str, ...], Field(min_length=1)]
+    estimators: NonEmpty[EstimatorName]
     """Names of the estimators."""
-
-    def references(self) -> Iterator[Reference]:
-        for i, metric in enumerate(self.of):
-            yield ("of", i), "metric", metric
-        for i, estimator in enumerate(self.estimators):
-            yield ("estimators", i), "estimator", estimator
-
-    def misfits(self, plan: Plan) -> Iterator[Misfit]:
-        for i, metric in enumerate(self.of):
-            for estimator in self.estimators:
-                yield from unscored(plan, ("of", i), estimator, metric)
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         import pandas as pd
@@ -47,7 +34,7 @@ class Choices(TableSpec):
         total = sum(counts, Counter[Outcome]())
         # The most frequent first, failures last.
         columns = sorted(total, key=lambda one: (one is None, -total[one], one or ()))
-        shares = [[100.0 * count[one] / results.trials for one in columns] for count in counts]
+        shares = [[100.0 * count[one] / results.plan.trials for one in columns] for count in counts]
         axes = [axis.name for axis in results.plan.axes if any(axis.name in c.unit.labels for c in cases)]
         heads = [[str(case.unit.labels.get(axis, "")) for axis in axes] + [case.unit.name] for case in cases]
         header = (*axes, "estimator", *map(_heading, columns))
@@ -55,7 +42,7 @@ class Choices(TableSpec):
         data = pd.DataFrame(
             [(*head, *row) for head, row in zip(heads, shares, strict=True)], columns=list(header)
         )
-        return Table(self.title, header, tuple(rows), (f"Percent of {results.trials} trials.",), data)
+        return Table(self.title, header, tuple(rows), (f"Percent of {results.plan.trials} trials.",), data)
 
     def counts(self, results: Results, case: Series) -> Counter[Outcome]:
         """How many trials of the estimator and the case of a series have each outcome."""

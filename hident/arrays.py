@@ -1,0 +1,12 @@
+"""Names for the arrays that all rooms speak of."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+Characteristic = Callable[[Array], Array]
+"""A static function of an array, elementwise."""

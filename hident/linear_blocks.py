@@ -1,0 +1,384 @@
+"""Linear blocks as numbers: discrete ones, and continuous ones with any delay.
+
+Signs as the papers write them. In discrete time (Mzyk 2009, A2)
+
+    v_k = a_1 v_{k-1} + ... + a_p v_{k-p} + b_0 w_k + ... + b_m w_{k-m},
+
+so the transfer function is B(q)/A(q) with A(q) = 1 - a_1 q^-1 - ... - a_p q^-p. In continuous time (Chen,
+Hwang and Chang 2009, eq. (1) and (9))
+
+    a_n y^(n)(t) + ... + a_1 y^(1)(t) + y(t) = b_m x^(m)(t - d) + ... + b_1 x^(1)(t - d) + b_0 x(t - d),
+
+so the static gain is b_0.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from hident.arrays import Array, Complex
+from hident.errors import ConfigError
+from hident.numerics.choices import ROUNDING
+from hident.numerics.settling import settling_time
+from hident.numerics.whole import split
+
+_NEGLIGIBLE = 1e-16
+# A simple pole of this modulus is forgotten to 1e-16 after 3.7 million samples.
+SLOWEST = 0.99999
+
+
+def _roots(polynomial: Array) -> Complex:
+    return np.roots(polynomial).astype(np.complex128)
+
+
+def _sum(terms: Array) -> float:
+    """The sum of the terms, zero where it is no more than their rounding."""
+    total = float(np.sum(terms))
+    return total if abs(total) > ROUNDING * float(np.sum(np.abs(terms))) else 0.0
+
+
+def _control() -> Any:
+    try:
+        import control
+    except ImportError:
+        raise ConfigError("to_control needs python-control: pip install 'hident[control]'") from None
+    return control
+
+
+@dataclass(frozen=True)
+class TransferFunction:
+    """The discrete linear block with numerator ``b`` (b_0, ..., b_m) and feedback ``a`` (a_1, ..., a_p).
+
+    Examples
+    --------
+    >>> block = TransferFunction(b=(0.0, 1.0), a=(0.5,))
+    >>> block.impulse_response(4)
+    array([0.  , 1.  , 0.5 , 0.25])
+    >>> block.static_gain()
+    2.0
+    >>> block.to_scipy(dt=0.1).poles
+    array([0.5])
+    """
+
+    b: tuple[float, ...] = (1.0,)
+    a: tuple[float, ...] = ()
+
+    @property
+    def denominator(self) -> Array:
+        """The coefficients of A in powers of q^-1: 1, -a_1, ..., -a_p."""
+        return np.concatenate(([1.0], -np.asarray(self.a, dtype=float)))
+
+    def poles(self) -> Complex:
+        """The p poles in the z plane; the block is stable when all lie inside the unit circle."""
+        return _roots(self.denominator)
+
+    def zeros(self) -> Complex:
+        """The zeros in the z plane; the inverse is stable when all lie inside the unit circle."""
+        return _roots(np.asarray(self.b, dtype=float))
+
+    def radius(self) -> float:
+        """The largest modulus of the poles, 0 without feedback."""
+        return float(np.max(np.abs(self.poles()), initial=0.0))
+
+    def is_stable(self) -> bool:
+        """Whether all poles lie inside the unit circle."""
+        return self.radius() < 1.0
+
+    def static_gain(self) -> float:
+        """The gain at frequency zero: exactly zero where it is rounding, infinite for an integrator."""
+        top, bottom = (_sum(np.asarray(c, dtype=float)) for c in (self.b, self.denominator))
+        return top / bottom if bottom else math.inf
+
+    def inverse(self) -> TransferFunction:
+        """The block A/B that undoes this one.
+
+        Raises
+        ------
+        ValueError
+            If b_0 is zero: the block delays its input, and only the future would undo that.
+        """
+        b0 = self.b[0]
+        if b0 == 0.0:
+            raise ValueError("a block with b_0 = 0 delays its input and has no causal inverse")
+        return TransferFunction(b=tuple(self.denominator / b0), a=tuple(-value / b0 for value in self.b[1:]))
+
+    def filter(self, w: Array, initial: Array | None = None) -> Array:
+        """The response to ``w`` (N,) from rest, or from the past outputs ``initial``.
+
+        Parameters
+        ----------
+        w : array, shape (N,)
+            The input; it is zero before its first sample.
+        initial : array, shape (p,), optional
+            v_{-1}, ..., v_{-p}, the latest first.
+
+        Raises
+        ------
+        ValueError
+            If ``initial`` has not p values.
+        """
+        # Imported here: scipy.signal alone takes longer to load than validating a configuration.
+        from scipy.signal import lfilter, lfiltic
+
+        b, denominator = np.asarray(self.b, dtype=float), self.denominator
+        if initial is None:
+            return np.asarray(lfilter(b, denominator, w))
+        if len(initial) != len(self.a):
+            raise ValueError(f"needs {len(self.a)} past outputs, not {len(initial)}")
+        return np.asarray(lfilter(b, denominator, w, zi=lfiltic(b, denominator, initial))[0])
+
+    def impulse_response(self, n: int) -> Array:
+        """The first ``n`` values gamma_0, gamma_1, ... of the impulse response."""
+        impulse = np.zeros(n)
+        impulse[:1] = 1.0
+        return self.filter(impulse)
+
+    def memory(self) -> int:
+        """Samples after which the impulse response stays below 1e-16 of its largest value.
+
+        Without feedback this is the number of coefficients b_0, ..., b_m.
+
+        Raises
+        ------
+        ValueError
+            If a pole has a modulus above 0.99999, unstable blocks included.
+        """
+        if not self.a:
+            return len(self.b)
+        if (radius := self.radius()) > SLOWEST:
+            raise ValueError(
+                f"a pole has modulus {radius:.8g}: the response lasts too long (at most {SLOWEST})"
+            )
+        # Half of the window must be negligible, and that half must lie behind the last b.
+        n = 64 + 2 * len(self.b)
+        while True:
+            response = np.abs(self.impulse_response(n))
+            last = int(np.flatnonzero(response > _NEGLIGIBLE * response.max())[-1])
+            if last < n // 2:
+                return last + 1
+            n *= 2
+
+    def values(self) -> dict[str, float]:
+        """The parameters by name: a_1, ..., a_p, b_0, ..., b_m."""
+        named = {f"a_{i}": value for i, value in enumerate(self.a, start=1)}
+        return named | {f"b_{i}": value for i, value in enumerate(self.b)}
+
+    def to_scipy(self, dt: float = 1.0) -> Any:
+        """The block as a :class:`scipy.signal.dlti` with sampling interval ``dt``, of the same response."""
+        from scipy.signal import dlti
+
+        return dlti(*self._in_z(), dt=dt)
+
+    def to_control(self, dt: float = 1.0) -> Any:
+        """The block as a :class:`control.TransferFunction` with sampling interval ``dt``.
+
+        Raises
+        ------
+        ConfigError
+            If python-control is not installed.
+        """
+        return _control().TransferFunction(*self._in_z(), dt)
+
+    def _in_z(self) -> tuple[Array, Array]:
+        """Numerator and denominator by falling power of z: times z^l, where q^-l is their last power."""
+        length = max(len(self.b), len(self.a) + 1)
+        top, bottom = (np.pad(c, (0, length - len(c))) for c in (self.b, self.denominator))
+        # scipy warns of leading zeros, which a delay has.
+        return top[int(np.argmax(top != 0.0)) :], bottom
+
+
+@dataclass(frozen=True)
+class ContinuousTransferFunction:
+    """(b_0 + b_1 s + ... + b_m s^m) e^(-delay s) / (1 + a_1 s + ... + a_n s^n) with m < n.
+
+    Times are in the unit of the sampling interval of the data.
+
+    Examples
+    --------
+    >>> block = ContinuousTransferFunction(b=(2.0,), a=(4.0, 3.0))
+    >>> block.static_gain(), block.is_stable()
+    (2.0, True)
+    >>> block.sampled(dt=0.1).radius() < 1
+    True
+    """
+
+    b: tuple[float, ...]
+    a: tuple[float, ...]
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.a or self.a[-1] == 0.0:
+            raise ValueError("the highest coefficient a_n must not be zero, and there must be one")
+        if len(self.b) > len(self.a):
+            raise ValueError(
+                f"the block is improper: the order m = {len(self.b) - 1} of the numerator must be "
+                f"below the order n = {len(self.a)} of the denominator"
+            )
+        if self.delay < 0.0:
+            raise ValueError(f"the delay must not be negative, not {self.delay:g}")
+
+    @property
+    def denominator(self) -> Array:
+        """The denominator's coefficients by falling power of s: a_n, ..., a_1, 1."""
+        return np.array([*reversed(self.a), 1.0])
+
+    def poles(self) -> Complex:
+        """The n poles, in 1/time; the block is stable when all lie in the left half plane."""
+        return np.roots(self.denominator).astype(np.complex128)
+
+    def zeros(self) -> Complex:
+        """The zeros, in 1/time."""
+        return np.roots(self.b[::-1]).astype(np.complex128)
+
+    def is_stable(self) -> bool:
+        """Whether all poles lie in the left half plane."""
+        return bool(np.all(self.poles().real < 0.0))
+
+    def static_gain(self) -> float:
+        """The gain at frequency zero."""
+        return self.b[0]
+
+    def values(self) -> dict[str, float]:
+        """The parameters by name: a_1, ..., a_n, b_0, ..., b_m."""
+        named = {f"a_{i}": value for i, value in enumerate(self.a, start=1)}
+        return named | {f"b_{i}": value for i, value in enumerate(self.b)}
+
+    def to_scipy(self) -> Any:
+        """The block as a :class:`scipy.signal.lti`.
+
+        Raises
+        ------
+        ConfigError
+            If it has a delay, which an lti cannot hold.
+        """
+        from scipy.signal import lti
+
+        return lti(*self._in_s("a scipy.signal.lti", "to_scipy"))
+
+    def to_control(self) -> Any:
+        """The block as a :class:`control.TransferFunction`.
+
+        Raises
+        ------
+        ConfigError
+            If it has a delay, which that cannot hold, or python-control is not installed.
+        """
+        return _control().TransferFunction(*self._in_s("a control.TransferFunction", "to_control"))
+
+    def _in_s(self, target: str, method: str) -> tuple[Array, Array]:
+        """Numerator and denominator by falling power of s, of a block without delay."""
+        if self.delay:
+            raise ConfigError(
+                f"{target} holds no delay, and this block has {self.delay:g}: take sampled(dt).{method}(dt), "
+                "the same response at the samples of a held input"
+            )
+        return np.trim_zeros(np.array(self.b[::-1]), "f"), self.denominator
+
+    def scaled(self, gain: float) -> ContinuousTransferFunction:
+        """The block with its output multiplied by ``gain``."""
+        return ContinuousTransferFunction(tuple(gain * b for b in self.b), self.a, self.delay)
+
+    def frequency_response(self, omega: Array) -> Complex:
+        """The complex gain at angular frequencies ``omega`` (any shape), radians per unit of time."""
+        s = 1j * np.asarray(omega, dtype=float)
+        ratio = np.polyval(self.b[::-1], s) / np.polyval(self.denominator, s)
+        return np.asarray(ratio * np.exp(-self.delay * s))
+
+    @cached_property
+    def _unit(self) -> float:
+        """A unit of time in which the poles have a geometric mean of one, for good conditioning."""
+        return float(abs(self.a[-1]) ** (1.0 / len(self.a)))
+
+    @cached_property
+    def _modes(self) -> tuple[Complex, Complex, Complex]:
+        """(T, B, C) with dz/dt = T z + B x, y = C z; T is upper triangular, time in :attr:`_unit`."""
+        from scipy.linalg import schur
+
+        n, unit = len(self.a), self._unit
+        leading = self.a[-1] / unit**n
+        companion = np.eye(n, k=1)
+        scaled = np.array([1.0, *(a / unit**i for i, a in enumerate(self.a[:-1], start=1))])
+        companion[-1] = -scaled / leading
+        output = np.zeros(n)
+        output[: len(self.b)] = [b / unit**i / leading for i, b in enumerate(self.b)]
+        triangular, basis = schur(companion, output="complex")
+        return triangular, basis[-1].conj(), output @ basis
+
+    def _held(self, dt: float) -> tuple[Complex, Complex]:
+        """exp(T dt) and its integral from 0 to dt times B."""
+        from scipy.linalg import expm
+
+        triangular, into, _ = self._modes
+        n = len(into)
+        block = np.zeros((n + 1, n + 1), dtype=complex)
+        block[:n, :n], block[:n, n] = triangular, into
+        both = expm(block * (dt / self._unit))
+        return both[:n, :n], both[:n, n]
+
+    def _steps(self, dt: float) -> tuple[Complex, Complex, Complex, int]:
+        """(Phi, Gamma_0, Gamma_1, D) with z_{k+1} = Phi z_k + Gamma_0 x_{k-D} + Gamma_1 x_{k-D-1}."""
+        whole, fraction = split(self.delay / dt)
+        rest = fraction * dt
+        phi, gamma = self._held(dt)
+        if rest == 0.0:
+            return phi, gamma, np.zeros_like(gamma), whole
+        after, recent = self._held(dt - rest)
+        return phi, recent, after @ self._held(rest)[1], whole
+
+    def respond(self, x: Array, dt: float) -> Array:
+        """The response at the times k dt to an input held at ``x[k]`` from k dt on, from rest.
+
+        Parameters
+        ----------
+        x : array, shape (N,)
+            The held input; it is zero before its first sample.
+        dt : float
+            Sampling interval.
+
+        Returns
+        -------
+        array, shape (N,)
+            Exact for this input (zero-order hold), whatever the delay.
+        """
+        from scipy.signal import lfilter
+
+        phi, recent, older, whole = self._steps(dt)
+        delayed = np.concatenate((np.zeros(min(whole, len(x))), x[: max(len(x) - whole, 0)]))
+        earlier = np.concatenate(([0.0], delayed[:-1]))
+        output = self._modes[2]
+        z = np.empty((len(phi), len(x)), dtype=complex)
+        for i in reversed(range(len(phi))):
+            driven = recent[i] * delayed + older[i] * earlier + phi[i, i + 1 :] @ z[i + 1 :]
+            z[i] = lfilter([0.0, 1.0], [1.0, -phi[i, i]], driven)
+        return np.ascontiguousarray((output @ z).real)
+
+    def sampled(self, dt: float) -> TransferFunction:
+        """The discrete block that relates held input and sampled output, its delay as leading zeros."""
+        phi, recent, older, whole = self._steps(dt)
+        output = self._modes[2]
+        denominator = np.poly(np.diag(phi)).real
+        markov = np.zeros(len(phi) + 2)
+        state = recent
+        for k in range(1, len(markov)):
+            markov[k] = (output @ state).real
+            state = phi @ state + (older if k == 1 else 0.0)
+        numerator = np.convolve(denominator, markov)[: len(markov)]
+        if not np.any(older):
+            numerator = numerator[:-1]
+        return TransferFunction(
+            b=tuple(map(float, (*np.zeros(whole), *numerator))), a=tuple(map(float, -denominator[1:]))
+        )
+
+    def settling_time(self, band: float = 0.05) -> float:
+        """The time after which the step response stays within ``band`` of its final value.
+
+        The delay does not count. Infinite for an unstable block or one without static gain.
+        """
+        if not self.is_stable() or self.b[0] == 0.0:
+            return math.inf
+        return settling_time(self.b, self.a, band)

@@ -1,0 +1,106 @@
+"""Gauss and Newton's method for nonlinear least squares, its steps halved until the loss falls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Literal, Protocol, TypeVar
+
+import numpy as np
+
+from hident.arrays import Array
+from hident.numerics.least_squares import Factorisation
+
+_HALVINGS = 40
+
+Status = Literal["converged", "stalled", "exhausted", "singular"]
+"""How it ended: at rest, no step lowers the loss, no iteration is left, the Jacobian is singular."""
+
+
+class Point(Protocol):
+    """A model: its residuals (N,), output less model, and the derivative (N, P) of the model."""
+
+    @property
+    def residuals(self) -> Array:
+        """What the model leaves of the output."""
+
+    @property
+    def jacobian(self) -> Array:
+        """The derivative; columns beyond those of a step belong to parameters that the model solves for."""
+
+    @property
+    def loss(self) -> float:
+        """The sum of squared residuals."""
+
+
+P = TypeVar("P", bound=Point)
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum(Generic[P]):
+    """Where it ended, and how; ``factors`` are those of the last Jacobian of which a step was computed."""
+
+    point: P
+    status: Status
+    iterations: int
+    evaluations: int
+    factors: Factorisation
+    length: float
+    """The change of the model's output that the last step promised."""
+
+
+def gauss_newton(
+    start: P,
+    moved: Callable[[P, Array], P | None],
+    rests: Callable[[P, float], bool],
+    *,
+    max_iterations: int,
+    slack: float = 0.0,
+    step_at_rest: bool = False,
+) -> Minimum[P]:
+    """Minimise the sum of squared residuals from ``start``.
+
+    Parameters
+    ----------
+    start : Point
+        The first model.
+    moved : callable
+        The model a step (P,) away from another, None where there is none; it may use the first entries only,
+        which gives the step of variable projection in Kaufman's form.
+    rests : callable
+        Whether a model is at rest whose step promises to change the output by this length.
+    max_iterations : int
+        The most steps.
+    slack : float
+        A loss that is larger by less counts as lower: it differs by rounding only.
+    step_at_rest : bool
+        Whether the step of a model at rest is made all the same.
+    """
+    point, evaluations = start, 0
+    for iteration in range(max_iterations + 1):
+        factors = Factorisation.of(point.jacobian)
+        projected = factors.q.T @ point.residuals
+        length = float(np.linalg.norm(projected))
+
+        def ended(status: Status, steps: int = iteration) -> Minimum[P]:
+            return Minimum(point, status, steps, evaluations, factors, length)  # noqa: B023
+
+        if factors.is_dependent:
+            return ended("singular")
+        rest = rests(point, length)
+        if rest and not step_at_rest:
+            return ended("converged")
+        if iteration == max_iterations:
+            return ended("exhausted")
+        step = factors.solution(point.residuals)
+        for halving in range(_HALVINGS):
+            new = moved(point, 0.5**halving * step)
+            evaluations += 1
+            if new is not None and new.loss < point.loss + slack:
+                break
+        else:
+            return ended("converged" if rest else "stalled")
+        point = new
+        if rest:
+            return ended("converged", iteration + 1)
+    raise AssertionError("the last iteration returns")

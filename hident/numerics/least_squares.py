@@ -1,0 +1,73 @@
+"""Least squares with columns scaled to length one, so that no unit decides what is singular."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from hident.arrays import Array
+
+ILL_CONDITIONED = 1e12
+"""Condition number, of columns scaled to length one, from which they count as linearly dependent."""
+
+
+def lengths(columns: Array) -> Array:
+    """The lengths (..., P) of the columns (..., N, P); 1 for a column of zeros, which stays so."""
+    found = np.sqrt(np.einsum("...ij,...ij->...j", columns, columns))
+    return np.where(found == 0.0, 1.0, found)
+
+
+@dataclass(frozen=True, eq=False)
+class Factorisation:
+    """The columns X (N, P) = Q R diag(length), factored once for any number of outputs.
+
+    ``q`` has the shape (N, P), ``r`` (P, P) is upper triangular, ``length`` (P,) are the columns' lengths.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> line = Factorisation.of(np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]]))
+    >>> line.solution(np.array([1.0, 3.0, 5.0])).round(12).tolist()
+    [1.0, 2.0]
+    """
+
+    q: Array
+    r: Array
+    length: Array
+
+    @classmethod
+    def of(cls, columns: Array) -> Self:
+        """Factor the columns (N, P)."""
+        length = lengths(columns)
+        return cls(*np.linalg.qr(columns / length), length)
+
+    @cached_property
+    def _singular(self) -> tuple[Array, Array]:
+        _, values, right = np.linalg.svd(self.r)
+        return values, right
+
+    @property
+    def null(self) -> Array:
+        """An orthonormal basis (K, P) of the combinations of scaled columns that vanish; K = 0 for none."""
+        values, right = self._singular
+        vanish = np.ones(len(right), dtype=bool)
+        vanish[: len(values)] = values * ILL_CONDITIONED <= values[0]
+        return right[vanish]
+
+    @property
+    def is_dependent(self) -> bool:
+        """Whether some column is a combination of others; so it is with fewer rows than columns."""
+        return len(self.null) > 0
+
+    def solution(self, y: Array) -> Array:
+        """The parameters (P,) or (P, T) for the outputs ``y`` (N,) or (N, T)."""
+        found = np.linalg.solve(self.r, self.q.T @ y)
+        return (found.T / self.length).T
+
+    @cached_property
+    def inverse_root(self) -> Array:
+        """The matrix G (P, P) with (X'X)^-1 = G G'."""
+        return np.asarray(np.linalg.solve(self.r, np.eye(len(self.r))) / self.length[:, None])

@@ -1,0 +1,1 @@
+"""Kinds of figures over all trials."""

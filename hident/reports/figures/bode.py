@@ -1,0 +1,111 @@
+"""Bode diagrams of two linear blocks."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from pydantic import Field
+
+from hident.arrays import Array
+from hident.config.references import EstimatorName, Metric
+from hident.config.spec import Count, NonEmpty, component
+from hident.engine.experiment import Plan
+from hident.engine.results import Results
+from hident.ledger.verdicts import Verdict
+from hident.linear_blocks import ContinuousTransferFunction
+from hident.metrics import frequency
+from hident.reports.base import FigureSpec, Misfit
+from hident.reports.style import LINES, TRUTH, legend_above, panel_grid
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_POINTS = 400
+
+
+@component("figure", "bode")
+class Bode(FigureSpec):
+    """Gains and phases of both linear blocks at the frequencies of the sines, and below their errors.
+
+    Marks are medians over the trials and bands, which the errors need to be seen, their central 90 %. What
+    fewer than half of the trials determine is left out.
+    """
+
+    metric: Annotated[str, Metric(labels=lambda bode, metric: bode.labels())]
+    """Name of the metric of kind response that holds gain_i_M, gain_o_M_1, phase_i_M and phase_o_M_1."""
+    frequencies: Annotated[Count, Field(ge=2)]
+    """Number of frequencies M."""
+    estimators: NonEmpty[EstimatorName]
+    """Names of the estimators."""
+    x_label: str
+    """Label of the abscissa, with its unit."""
+
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        if "blocks" not in plan.units[0].data.system.provides():
+            yield ("kind",), "the system has no true linear blocks in continuous time"
+
+    def labels(self) -> Iterator[str]:
+        """The labels of the metric's numbers that it shows."""
+        for quantity, side in itertools.product(("gain", "phase"), ("i", "o")):
+            yield from (f"{self.metric} {name}" for name in self._names(quantity, side))
+
+    def _names(self, quantity: str, side: str) -> list[str]:
+        harmonic = "_1" if side == "o" else ""
+        return [f"{quantity}_{side}_{m}{harmonic}" for m in range(1, self.frequencies + 1)]
+
+    def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
+        figure, grid = panel_grid(8, 2, 3.4, 1.9)
+        data = next(results.select(self.estimators[0])).unit.data
+        blocks = data.system.truth().blocks
+        stretches = data.excitation.stretches(data.samples, data.dt or 1.0)
+        omega = frequency.frequencies_of(stretches)[: self.frequencies]
+        for column, side in enumerate(("i", "o")):
+            block = blocks["input" if side == "i" else "output"]
+            gains, gain_errors, phases, phase_errors = grid[column::2]
+            self._draw_pair(results, (gains, gain_errors), self._names("gain", side), block, omega)
+            self._draw_pair(results, (phases, phase_errors), self._names("phase", side), block, omega)
+            gains.set_yscale("log")
+            gains.set_title("input block $G_i$" if side == "i" else "output block $G_o$")
+            phase_errors.set_xlabel(self.x_label)
+        for axes in grid:
+            axes.set_xscale("log")
+            axes.set_xlim(0.9 * omega[0], 1.1 * omega[-1])
+        for axes, text in zip(
+            grid[::2], ("gain", "error of gain (%)", "phase (rad)", "error of phase (rad)"), strict=True
+        ):
+            axes.set_ylabel(text)
+        legend_above(figure)
+        return figure
+
+    def _draw_pair(
+        self,
+        results: Results,
+        panels: tuple[Axes, Axes],
+        names: Sequence[str],
+        block: ContinuousTransferFunction,
+        omega: Array,
+    ) -> None:
+        """Gains or phases of a block in one panel, their errors in the other; of gains in percent."""
+        above, below = panels
+        of_gains = names[0].startswith("gain")
+        function = frequency.gain if of_gains else frequency.phase
+        true = function(block, omega)
+        dense = np.geomspace(omega[0], omega[-1], _POINTS)
+        above.plot(dense, function(block, dense), label="true", **TRUTH)
+        below.axhline(0.0, **TRUTH)
+        for estimator, line in zip(self.estimators, LINES, strict=False):
+            series = [next(results.select(estimator, f"{self.metric} {name}")) for name in names]
+            seen = np.array([2 * one.statistics["failed"] <= one.statistics["trials"] for one in series])
+            low, middle, high = (
+                np.array([one.statistics[name] for one in series]) for name in ("q05", "median", "q95")
+            )
+            mark = {**line, "linestyle": "none", "markersize": 3, "zorder": 5}
+            above.plot(omega[seen], middle[seen], label=estimator, **mark)
+            scale = 100.0 / true if of_gains else np.ones_like(true)
+            low, middle, high = (((one - true) * scale)[seen] for one in (low, middle, high))
+            below.fill_between(omega[seen], low, high, color=line["color"], alpha=0.25, linewidth=0)
+            below.plot(omega[seen], middle, **mark)

@@ -1,0 +1,108 @@
+"""The figure of how far methods go."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hident.config.references import TableName
+from hident.config.spec import Flag, Interval, component
+from hident.engine.experiment import Plan
+from hident.engine.results import Results
+from hident.ledger.verdicts import Verdict
+from hident.reports.base import FigureSpec, Misfit, not_numeric
+from hident.reports.one_trial.base import true_curve
+from hident.reports.style import LINES, panel_grid
+from hident.reports.tables.limits import Limit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_POINTS = 2001
+
+_UP = 10
+"""Matplotlib's marker of a triangle that stands on its point."""
+
+
+@component("figure", "limit", source="Chen, Hwang, Chang 2009, figure 9")
+class LimitFigure(FigureSpec):
+    """How far each estimator goes along one axis against the label of another, as a table of kind limit.
+
+    A first panel shows the true characteristic at each label where an interval is given.
+    """
+
+    table: TableName
+    """Name of the table of kind limit that it draws."""
+    x_label: str
+    """Label of the abscissa."""
+    y_label: str
+    """Label of the ordinate, with its unit."""
+    log_x: Flag = False
+    """Logarithmic abscissa."""
+    interval: Interval | None = None
+    """Range of the abscissa of a panel with the true characteristics; no such panel by default."""
+    characteristic_labels: tuple[str, str] = ("x", "y")
+    """Labels of that panel's abscissa and ordinate."""
+
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        source = plan.experiment.tables[self.table]
+        if not isinstance(source, Limit):
+            yield ("table",), f"the table '{self.table}' must be of kind limit, not {source.kind}"
+            return
+        yield from ((("table",), said) for said in not_numeric(plan, source.x, positive=self.log_x))
+        if self.interval is not None and "nonlinearity" not in plan.units[0].data.system.provides():
+            yield (
+                ("interval",),
+                f"the system '{plan.units[0].data.system.kind}' has no true nonlinearity to show",
+            )
+
+    def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
+        source = results.plan.experiment.tables[self.table]
+        assert isinstance(source, Limit)
+        count = 1 if self.interval is None else 2
+        figure, grid = panel_grid(count, 2, 4.8 if count == 1 else 3.6, 3.0)
+        if self.interval is not None:
+            self._characteristics(grid[0], results, source, self.interval)
+        self._limits(grid[-1], results, source)
+        return figure
+
+    def _characteristics(
+        self, axes: Axes, results: Results, source: Limit, interval: tuple[float, float]
+    ) -> None:
+        x = np.linspace(*interval, _POINTS)
+        for i, label in enumerate(results.labels(source.x)):
+            unit = next(results.select(labels={**source.at, source.x: label})).unit
+            line = {**LINES[i % len(LINES)], "marker": ""}
+            y = true_curve(unit.data.system.truth(), x)
+            axes.plot(x, y, label=f"{self.x_label} = {label}", **line)
+        axes.set_xlim(*interval)
+        axes.set_xlabel(self.characteristic_labels[0])
+        axes.set_ylabel(self.characteristic_labels[1])
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+
+    def _limits(self, axes: Axes, results: Results, source: Limit) -> None:
+        beyond: list[tuple[float, float]] = []
+        highest = 0.0
+        for i, estimator in enumerate(source.estimators):
+            reaches, line = source.reaches(results, estimator), LINES[i % len(LINES)]
+            heights = [reach.limit for reach in reaches]
+            somewhere = np.any(np.isfinite(heights))
+            label = estimator if somewhere else f"{estimator}, nowhere"
+            axes.plot([reach.x for reach in reaches], heights, label=label, **line)
+            beyond += [(reach.x, reach.limit) for reach in reaches if reach.open]
+            highest = float(np.nanmax([highest, *heights]))
+        if beyond:
+            x, y = zip(*beyond, strict=True)
+            axes.plot(x, y, color="black", linestyle="none", marker=_UP, markersize=9, label="goes beyond")
+        if self.log_x:
+            axes.set_xscale("log")
+        axes.set_ylim(0.0, 1.15 * highest if highest > 0.0 else 1.0)
+        ticks = sorted(map(float, results.labels(source.x)))
+        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axes.set_xticks([], minor=True)
+        axes.set_xlabel(self.x_label)
+        axes.set_ylabel(self.y_label)
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)

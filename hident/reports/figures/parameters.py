@@ -1,0 +1,162 @@
+"""Figures of named parameters: values, gains and efficiencies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+
+from hident.arrays import Array
+from hident.config.references import EstimatorName, NumericAxis, TableName, ValueName, value_of
+from hident.config.spec import Flag, NonEmpty, component
+from hident.engine.experiment import Plan
+from hident.engine.results import Results
+from hident.ledger.verdicts import Verdict, beside
+from hident.reports.base import FigureSpec, Misfit
+from hident.reports.style import LINES, TRUTH, subplots, symbol
+from hident.reports.tables.parameters import Efficiency, ratios
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@component("figure", "parameters")
+class ParameterFigure(FigureSpec):
+    """One panel for each parameter: mean and standard deviation of every estimator against the truth."""
+
+    metric: str
+    """Name of the metric of kind value."""
+    of: NonEmpty[ValueName]
+    """Names of the values, one panel each."""
+    estimators: NonEmpty[EstimatorName]
+    """Names of the estimators."""
+
+    def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
+        theirs = {at: verdict.printed.value for at, verdict in beside(verdicts).items()}
+        columns = min(4, len(self.of))
+        rows = -(-len(self.of) // columns)
+        figure, grid = subplots(rows, columns, squeeze=False, figsize=(2.3 * columns, 2.2 * rows + 0.5))
+        for axes in grid.flat[len(self.of) :]:
+            axes.set_visible(False)
+        for name, axes in zip(self.of, grid.flat, strict=False):
+            for i, estimator in enumerate(self.estimators):
+                series = next(results.select(estimator, f"{self.metric} {name}"))
+                line = LINES[i % len(LINES)]
+                look = {"color": line["color"], "marker": line["marker"], "capsize": 3, "linestyle": "none"}
+                axes.errorbar(i, series.value("mean"), series.value("std"), label=estimator, **look)
+                if (id(series), "mean") in theirs:
+                    printed = (theirs[id(series), "mean"], theirs.get((id(series), "std"), 0.0))
+                    look |= {"markerfacecolor": "none", "alpha": 0.75}
+                    axes.errorbar(i + 0.3, *printed, label=f"{estimator}, printed", **look)
+            unit = next(results.select(self.estimators[0], f"{self.metric} {name}")).unit
+            truth = unit.data.system.truth()
+            if name in truth.values:
+                axes.axhline(truth.values[name], label="truth", **{**TRUTH, "linewidth": 1.0, "zorder": 0})
+            axes.set_title(symbol(name))
+            axes.set_xticks([])
+            axes.set_xlim(-0.6, len(self.estimators) - 0.1)
+            axes.ticklabel_format(axis="y", useOffset=False)
+        for axes in grid[:, 0]:
+            axes.set_ylabel("mean ± standard deviation")
+        handles, labels = grid.flat[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=min(4, len(labels)))
+        return figure
+
+
+@component("figure", "gain")
+class Gain(FigureSpec):
+    """Ratio of two estimators' standard deviations for each parameter, and the ratio of the printed ones."""
+
+    metric: str
+    """Name of the metric of kind value."""
+    of: NonEmpty[Annotated[str, value_of(scores=("reference", "estimator"))]]
+    """Names of the values."""
+    reference: EstimatorName
+    """Name of the estimator in the numerator."""
+    estimator: EstimatorName
+    """Name of the estimator in the denominator."""
+    y_label: str
+    """Label of the ordinate."""
+
+    def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
+        figure, axes = subplots(figsize=(4.6, 3.0))
+        printed = {at: verdict.printed.value for at, verdict in beside(verdicts).items()}
+        pairs = [
+            tuple(next(results.select(name, label)) for name in (self.reference, self.estimator))
+            for label in (f"{self.metric} {value}" for value in self.of)
+        ]
+        x = np.arange(len(pairs))
+        ours = ratios([a.value("std") for a, _ in pairs], [b.value("std") for _, b in pairs])
+        # Independent or not, the ratio's error is at most that of independent spreads.
+        error = ours / np.sqrt(max(results.plan.trials - 1, 1))
+        axes.errorbar(
+            x,
+            ours,
+            2.0 * error,
+            label="ours, ± 2 standard errors",
+            capsize=3,
+            **LINES[0] | {"linestyle": "none"},
+        )
+        if all((id(series), "std") in printed for pair in pairs for series in pair):
+            theirs = ratios(*([printed[id(one), "std"] for one in side] for side in zip(*pairs, strict=True)))
+            look = {**LINES[1], "linestyle": "none", "markerfacecolor": "none", "markersize": 8}
+            axes.plot(x, theirs, label="printed", **look)
+        axes.axhline(1.0, color="0.4", linewidth=1.0, linestyle=":", label="no gain")
+        axes.set_xticks(x, [symbol(value) for value in self.of])
+        axes.set_ylabel(self.y_label)
+        axes.set_ylim(bottom=0.0)
+        axes.legend(loc="lower left")
+        return figure
+
+
+@component("figure", "efficiency")
+class EfficiencyFigure(FigureSpec):
+    """Efficiency against a numeric axis: one panel for each parameter, one curve for each estimator."""
+
+    x: Annotated[str, NumericAxis()]
+    """The axis along the abscissa."""
+    table: TableName
+    """Name of the table of kind efficiency that it draws."""
+    of: NonEmpty[str]
+    """Names of the parameters, one panel each."""
+    x_label: str
+    """Label of the abscissa, with its unit."""
+    log_y: Flag = True
+    """Logarithmic ordinate."""
+
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        source = plan.experiment.tables[self.table]
+        if not isinstance(source, Efficiency):
+            yield ("table",), f"the table '{self.table}' must be of kind efficiency, not {source.kind}"
+        elif unknown := [name for name in self.of if name not in source.of]:
+            yield ("of",), f"the table '{self.table}' does not hold {', '.join(unknown)}"
+
+    def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
+        source = results.plan.experiment.tables[self.table]
+        assert isinstance(source, Efficiency)
+        columns = min(4, len(self.of))
+        rows = -(-len(self.of) // columns)
+        figure, grid = subplots(
+            rows, columns, squeeze=False, sharex=True, sharey=True, figsize=(2.3 * columns, 2.3 * rows + 0.5)
+        )
+        for axes in grid.flat[len(self.of) :]:
+            axes.set_visible(False)
+        for i, estimator in enumerate(source.estimators):
+            cases = list(results.select(estimator, f"{source.metric} {source.of[0]}"))
+            x: Array = np.array([float(case.unit.labels[self.x]) for case in cases])
+            heights = np.array([source.efficiencies(results, estimator, case) for case in cases])
+            for name, axes in zip(self.of, grid.flat, strict=False):
+                axes.plot(x, heights[:, source.of.index(name)], label=estimator, **LINES[i % len(LINES)])
+        for name, axes in zip(self.of, grid.flat, strict=False):
+            axes.axhline(1.0, color="0.4", linewidth=1.0, linestyle=":", label="Cramér-Rao bound")
+            axes.set_title(symbol(name))
+            if self.log_y:
+                axes.set_yscale("log")
+        for axes in grid[-1]:
+            axes.set_xlabel(self.x_label)
+        for axes in grid[:, 0]:
+            axes.set_ylabel("bound / variance")
+        handles, labels = grid.flat[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=min(3, len(labels)))
+        return figure

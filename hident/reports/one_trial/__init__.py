@@ -1,0 +1,1 @@
+"""Kinds of figures of one trial, which is made again from its seeds."""

@@ -1,0 +1,62 @@
+"""How tables write numbers, and what their notes say."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+
+from hident.engine.results import Series
+from hident.ledger.verdicts import Verdict
+
+_SIGNS = {"exact": "=", "agrees": "~", "differs": "!"}
+_LEGEND = (
+    "Beside ours, the printed number: `=` ours rounds to it, `~` it lies in the interval that the trials "
+    "give and so is not excluded, `!` it differs."
+)
+
+
+def written(value: float, digits: int = 3) -> str:
+    """A number with ``digits`` significant digits, and at least its integer part in full."""
+    if not math.isfinite(value):
+        return "-"
+    if value and not 1e-4 <= abs(value) < 10.0 ** max(5, digits):
+        return f"{value:.{digits - 1}e}"
+    return f"{value:.{decimals_of(value, digits)}f}"
+
+
+def decimals_of(value: float, digits: int) -> int:
+    """The decimals that show ``digits`` significant digits of a value."""
+    rounded = float(f"{value:.{digits - 1}e}")
+    return max(0, digits - 1 - math.floor(math.log10(abs(rounded)))) if value else 0
+
+
+def judged(verdict: Verdict | None) -> str:
+    """The printed number with the sign of its verdict; nothing where nothing is printed."""
+    return f"{verdict.printed.printed} {_SIGNS[verdict.word]}" if verdict else ""
+
+
+def legend(verdicts: Iterable[Verdict]) -> list[str]:
+    """What the signs and the intervals of the verdicts mean, for the notes of a table."""
+    return [_LEGEND, *(f"Interval: {text}." for text in dict.fromkeys(v.interval for v in verdicts))]
+
+
+def failures(series: Iterable[Series]) -> Iterator[str]:
+    """What failed and why, for the notes of a table; once for all metrics of a unit that failed alike."""
+    seen = set()
+    for one in series:
+        failed, total = one.statistics["failed"], one.statistics["trials"]
+        alike = (id(one.unit), failed, one.reasons)
+        if failed and alike not in seen:
+            seen.add(alike)
+            yield (
+                f"{failed:.0f} of {total:.0f} trials of {one.unit.described()} failed{_why(one.reasons)} "
+                "and are left out of the statistics."
+            )
+
+
+def _why(reasons: Sequence[tuple[str, int]]) -> str:
+    if not reasons:
+        return ""
+    if len(reasons) == 1:
+        return f" ({reasons[0][0]})"
+    return f" ({'; '.join(f'{count} times: {text}' for text, count in reasons)})"
