@@ -38,9 +38,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     help="Monte Carlo experiments on identifying Hammerstein, Wiener and Wiener-Hammerstein systems.",
-    epilog="Exit codes: 0 fine, 1 differs or unsound, 2 bad configuration or arguments, 3 trials crashed, "
-    "4 nothing to compare, 70 an unforeseen error (a fault of hident), 75 another run holds the store, "
-    "130 interrupted.",
+    epilog="Exit codes: 0 fine, 1 differs, unsound or a figure not drawn, 2 bad configuration or arguments, "
+    "3 trials crashed, 4 nothing to compare, 70 an unforeseen error (a fault of hident), 75 another run "
+    "holds the store, 130 interrupted.",
 )
 
 Configs = Annotated[list[Path], typer.Argument(help="YAML files, or names of files under configs/.")]

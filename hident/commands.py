@@ -91,7 +91,7 @@ def described(plan: Plan) -> str:
     cases, units = len({unit.data.key for unit in plan.units}), len(plan.units)
     return (
         f"{plan.path}: fine: {cases} case{'s' * (cases != 1)}, {units} estimate{'s' * (units != 1)} "
-        f"of {plan.experiment.trials} trial{'s' * (plan.experiment.trials != 1)}"
+        f"of {plan.trials} trial{'s' * (plan.trials != 1)}"
     )
 
 
@@ -105,17 +105,19 @@ def run_plans(
     quiet: bool,
 ) -> Exit:
     """Run plans one after the other on one set of workers; a single one's tables are printed."""
-    from hident.reports.output import keep_tracebacks
+    from hident.run_folder import RunFolder
 
     def work(executor: Executor, workers: int) -> Exit:
         code = Exit.FINE
         for plan in plans:
             try:
-                _run_plan(plan, place, executor, workers, keep_going=keep_going, quiet=quiet)
+                for undrawn in _run_plan(plan, place, executor, workers, keep_going=keep_going, quiet=quiet):
+                    print(f"error: {undrawn}; all other outputs are written", file=sys.stderr)
+                    code = max(code, Exit.DIFFERS)
                 if not quiet and len(plans) == 1:
                     print((place.out / plan.name / "table.md").read_text(encoding="utf-8"))
             except CrashReport as crash:
-                kept = keep_tracebacks(crash.tracebacks, place.out / plan.name)
+                kept = RunFolder(place.out / plan.name).keep_tracebacks(crash.tracebacks)
                 where = f"\nTracebacks: {kept}" if kept else f"\n{crash.tracebacks}"
                 print(f"error: {plan.name}: {crash}{where}", file=sys.stderr)
                 code = crash.exit_code
@@ -165,36 +167,36 @@ def warn_of_arithmetic() -> None:
 
 def _run_plan(
     plan: Plan, place: Place, executor: Executor, workers: int, *, keep_going: bool, quiet: bool
-) -> None:
+) -> tuple[str, ...]:
+    """Run a plan, if its outputs are not there; a message for each figure that cannot be drawn."""
     from hident.engine.preflight import check_records
     from hident.engine.runner import run
     from hident.progress import chosen
-    from hident.reports.output import output_key, state, write
+    from hident.reports.output import Outputs
 
-    trials, seed, folder = plan.experiment.trials, plan.experiment.seed, place.out / plan.name
-    key = output_key(plan, seed, trials)
-    note = f"{plan.name}: {folder} is up to date"
-    if state(folder, key) != "up to date":
+    outputs = Outputs(plan, place.out / plan.name)
+    note = f"{plan.name}: {outputs.folder} is up to date"
+    undrawn: tuple[str, ...] = ()
+    if outputs.state() != "up to date":
         with Store(place.store).writing(place.wait) as writer:
             # Asked again, as another run may have held the store until now.
-            if state(folder, key) != "up to date":
+            if outputs.state() != "up to date":
                 start = time.perf_counter()
                 check_records(plan)
                 results = run(
                     plan,
-                    writer,
-                    executor,
-                    workers,
-                    trials=trials,
-                    seed=seed,
+                    store=writer,
+                    executor=executor,
+                    workers=workers,
                     keep_going=keep_going,
                     progress=chosen(plan.name, quiet=quiet),
                 )
                 wall = round(time.perf_counter() - start, 3)
-                write(results, folder, {"workers": workers, "wall_seconds": wall})
-                note = f"{plan.name}: wrote {folder}"
+                undrawn = outputs.write(results, {"workers": workers, "wall_seconds": wall})
+                note = f"{plan.name}: wrote {outputs.folder}"
     if not quiet:
         print(note, file=sys.stderr)
+    return undrawn
 
 
 def accept_plans(
@@ -209,14 +211,14 @@ def accept_plans(
 ) -> Exit:
     """Accept the outputs of plans, each with how many of its trials a last bit moves."""
     from hident.ledger.accept import accept
-    from hident.reports.output import output_key, state
+    from hident.reports.output import Outputs
 
     for plan in plans:
-        folder, key = place.out / plan.name, output_key(plan, plan.experiment.seed, plan.experiment.trials)
-        if state(folder, key) == "old":
+        outputs = Outputs(plan, place.out / plan.name)
+        if outputs.state() == "old":
             raise ConfigError(
-                f"{folder} is not what {plan.path} gives now: hident run {plan.name}, or repeat here the "
-                "--set, --trials and --seed of that run"
+                f"{outputs.folder} is not what {plan.path} gives now: hident run {plan.name}, or repeat here "
+                "the --set, --trials and --seed of that run"
             )
 
     def work(executor: Executor, workers: int) -> Exit:
@@ -246,13 +248,10 @@ def _sensitivity(
     def repeated(k: int) -> TrialValues:
         with Store(place.store).writing(place.wait) as writer:
             found = run(
-                plan,
-                writer,
-                executor,
-                workers,
-                trials=plan.experiment.trials,
-                seed=plan.experiment.seed,
-                perturbation=k,
+                plan.changed(perturbation=k),
+                store=writer,
+                executor=executor,
+                workers=workers,
                 progress=chosen(f"{plan.name}, perturbation {k} of {perturbations}", quiet=quiet),
             )
         return TrialValues.of(found)
@@ -268,9 +267,11 @@ def check_finished(names: Iterable[str], out: Path) -> None:
     NothingToCompare
         If one has none.
     """
+    from hident.run_folder import RunFolder
+
     for name in names:
         folder = out / Path(name).stem
-        if not (folder / "run.json").is_file():
+        if not RunFolder(folder).finished:
             raise NothingToCompare(f"{folder} holds no finished run: hident run {Path(name).stem}")
 
 
@@ -347,15 +348,13 @@ def _print_columns(rows: Sequence[tuple[str, ...]]) -> None:
 
 def print_status(plans: Sequence[Plan], place: Place) -> None:
     """For each plan: how many of its trials are stored, and the state of its outputs."""
-    from hident.reports.output import output_key, state
+    from hident.reports.output import Outputs
 
     store = Store(place.store)
     rows = [("configuration", "trials stored", "of", "outputs")]
     for plan in plans:
-        trials, seed, folder = plan.experiment.trials, plan.experiment.seed, place.out / plan.name
-        done = sum(stored(plan, store, trials, seed))
-        outputs = state(folder, output_key(plan, seed, trials))
-        rows.append((plan.name, str(done), str(trials * len(plan.units)), outputs))
+        done, wanted = sum(stored(plan, store)), plan.trials * len(plan.units)
+        rows.append((plan.name, str(done), str(wanted), Outputs(plan, place.out / plan.name).state()))
     _print_columns(rows)
     print(f"{store.path}: {store.count()} scores in all")
 
@@ -426,9 +425,7 @@ def export(plan: Plan, folder: Path, file: Path) -> str:
 
     if file.suffix not in (".csv", ".parquet"):
         raise ConfigError(f"{file}: the name must end in .csv or .parquet")
-    trials, seed = plan.experiment.trials, plan.experiment.seed
-    keys = [unit.keys(seed) for unit in plan.units]
-    found = Store(folder).read({key for of_unit in keys for key in of_unit.values()}, trials)
+    found = Store(folder).read({key for keys in plan.keys for key in keys.values()}, plan.trials)
     rows: list[dict[str, Any]] = [
         {
             **unit.labels,
@@ -438,9 +435,9 @@ def export(plan: Plan, folder: Path, file: Path) -> str:
             "value": value,
             "failure": trial.failure,
         }
-        for unit, of_unit in zip(plan.units, keys, strict=True)
+        for unit, keys in zip(plan.units, plan.keys, strict=True)
         for name, metric in unit.metrics.items()
-        for trial in found[of_unit[name]]
+        for trial in found[keys[name]]
         for label, value in zip(metric.labels(name), trial.values, strict=True)
     ]
     axes = [axis.name for axis in plan.axes]
@@ -459,7 +456,7 @@ def export(plan: Plan, folder: Path, file: Path) -> str:
         raise StoreError(f"{file} cannot be written: {(error.strerror or str(error)).lower()}") from None
     finally:
         temporary.unlink(missing_ok=True)
-    wanted = trials * len(plan.units)
-    done = sum(complete(found, of_unit) for of_unit in keys)
+    wanted = plan.trials * len(plan.units)
+    done = sum(complete(found, keys) for keys in plan.keys)
     missing = "" if done == wanted else f"; {wanted - done} trials are not computed yet (hident run)"
     return f"{file}: {len(data)} rows of {done} trials{missing}"

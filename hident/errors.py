@@ -10,6 +10,7 @@ class Exit(IntEnum):
 
     FINE = 0
     DIFFERS = 1
+    """Results differ, something is unsound, or a figure cannot be drawn and all else is written."""
     BAD_INPUT = 2
     CRASHED = 3
     NOTHING = 4

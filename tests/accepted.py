@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import itertools
-import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -12,20 +11,17 @@ import numpy as np
 
 from hident import arithmetic, plugins
 from hident.arrays import Array
-from hident.engine.executors import SerialExecutor
 from hident.engine.experiment import Plan, load
 from hident.engine.fingerprint import libraries
 from hident.engine.results import Results, Series
 from hident.engine.run_files import SENSITIVITY, TRIALS
 from hident.engine.runner import run
-from hident.engine.store import Store
 from hident.ledger.compare import CHANCE
-from hident.ledger.run_folder import arithmetic as arithmetic_of
-from hident.ledger.run_folder import read_run
 from hident.ledger.sensitivity import RTOL, Sensitivity
 from hident.ledger.trial_comparison import TrialComparison
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import Verdict, judge
+from hident.run_folder import RunFolder, arithmetic_of
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "results"
@@ -33,12 +29,13 @@ RESULTS = ROOT / "results"
 
 def accepted_results(config: str) -> Results:
     """The accepted trials of a configuration as its run gave them, but for the reasons of failures."""
-    plan, accepted = _plan(config), _values(RESULTS / config)
+    accepted = _values(RESULTS / config)
+    plan = _plan(config).changed(trials=accepted.trials)
     named = [(unit, label) for unit in plan.units for label in unit.metric_labels]
 
     def results(values: Iterable[Array]) -> Results:
         series = (Series(*name, of_one) for name, of_one in zip(named, values, strict=True))
-        return Results(plan, plan.experiment.seed, accepted.trials, tuple(series))
+        return Results(plan, tuple(series))
 
     keys = TrialValues.of(results(itertools.repeat(np.empty(0), len(named)))).series
     return results(accepted.series[key] for key in keys)
@@ -56,11 +53,7 @@ def differences(config: str, trials: int, results: Path = RESULTS) -> list[str]:
     They are compared with the accepted ones trial by trial, as ``hident compare --partial`` does.
     """
     plan, accepted = _plan(config), results / config
-    with tempfile.TemporaryDirectory() as folder, Store(Path(folder) / "store").writing() as writer:
-        trials = min(trials, plan.experiment.trials)
-        ours = TrialValues.of(
-            run(plan, writer, SerialExecutor(), 1, trials=trials, seed=plan.experiment.seed)
-        )
+    ours = TrialValues.of(run(plan.changed(trials=min(trials, plan.trials))))
     sensitivity = Sensitivity.decoded((accepted / SENSITIVITY).read_bytes())
     compared = TrialComparison(
         ours, _values(accepted), RTOL, None if _same_arithmetic(accepted) else sensitivity
@@ -82,4 +75,4 @@ def _values(accepted: Path) -> TrialValues:
 def _same_arithmetic(accepted: Path) -> bool:
     ours = {"arithmetic": {"identity": arithmetic.identity()}, "libraries": {**libraries()}}
     del ours["libraries"]["arithmetic"]
-    return bool(arithmetic_of({"provenance": ours}) == arithmetic_of(read_run(accepted) or {}))
+    return bool(arithmetic_of(ours) == RunFolder(accepted).arithmetic())

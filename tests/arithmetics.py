@@ -25,10 +25,10 @@ from hident import arithmetic
 from hident.engine.run_files import RUN, TRIALS
 from hident.errors import HidentError
 from hident.ledger.compare import Comparison, compare
-from hident.ledger.run_folder import read_run
 from hident.ledger.sensitivity import RTOL
 from hident.ledger.trial_comparison import TrialComparison
 from hident.ledger.trial_values import TrialValues
+from hident.run_folder import RunFolder
 
 ROOT = Path(__file__).parents[1]
 DOCUMENT = ROOT / "docs" / "reproducibility.md"
@@ -130,7 +130,7 @@ def computed(
     config: str, kernels: Arithmetic, folder: Path, accepted: Path, trials: int, jobs: int | None
 ) -> Outcome:
     """Run a configuration with an arithmetic in a process of its own, and compare."""
-    run = read_run(accepted / config)
+    run = RunFolder(accepted / config).run()
     if run is None:
         return Outcome(0, 0, (f"there is no {accepted / config / RUN}",))
     wanted = min(trials, int(run["experiment"]["trials"]))

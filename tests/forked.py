@@ -93,10 +93,10 @@ def _prepare() -> None:
     import hident.progress  # noqa: F401
     from hident import plugins
     from hident.engine.experiment import load
-    from hident.reports.output import output_key
+    from hident.reports.output import Outputs
 
     plugins.load()
-    output_key(load(ROOT / "configs/mzyk_table1.yaml"), seed=1, trials=1)
+    Outputs(load(ROOT / "configs/mzyk_table1.yaml"), ROOT).key  # noqa: B018
 
 
 def _become(

@@ -97,22 +97,22 @@ def _got(problem: Problem) -> str:
     return f" (got {text if len(text) <= 80 else text[:77] + '...'})"
 
 
-def read(path: Path) -> Document:
-    """Read a YAML file.
+def read(path: Path, content: bytes | None = None) -> Document:
+    """Read a YAML file, or its content if that is known.
 
     Raises
     ------
     ConfigError
         If the file cannot be read or is no strict YAML mapping; the message names the line.
     """
-    document = read_leniently(path)
+    document = read_leniently(path, content)
     if document.complaints:
         raise error_of(document.complaints)
     return document
 
 
-def read_leniently(path: Path) -> Document:
-    """Read a YAML file; what is no more than unclear goes to the document's complaints.
+def read_leniently(path: Path, content: bytes | None = None) -> Document:
+    """Read a YAML file, or its content; what is no more than unclear goes to the document's complaints.
 
     Raises
     ------
@@ -120,8 +120,9 @@ def read_leniently(path: Path) -> Document:
         If the file cannot be read or is no YAML mapping at all.
     """
     try:
-        with path.open("rb") as file:
-            content = file.read(LARGEST + 1)
+        if content is None:
+            with path.open("rb") as file:
+                content = file.read(LARGEST + 1)
         if len(content) > LARGEST:
             raise ConfigError(
                 f"{path}: cannot be read: it is larger than {LARGEST // 1024} kB, "

@@ -8,7 +8,8 @@ not multiply that estimator, so that no unit stands twice.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
@@ -171,13 +172,56 @@ class Experiment(Data, Cases):
 
 @dataclass(frozen=True)
 class Plan:
-    """An experiment with its file, its axes and its units."""
+    """An experiment with its file, its axes and its units; nothing about it changes once it is known.
+
+    With a ``perturbation`` k > 0, the records are those of :func:`hident.engine.trial.generate` a last bit
+    away, and the scores are stored under keys of their own.
+    """
 
     path: Path
     document: Document
     experiment: Experiment
     axes: tuple[Axis, ...]
     units: tuple[Unit, ...]
+    perturbation: int = 0
+    _paper_files: dict[str, bytes | None] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def seed(self) -> int:
+        """The seed of all random streams."""
+        return self.experiment.seed
+
+    @property
+    def trials(self) -> int:
+        """The number of trials of every unit."""
+        return self.experiment.trials
+
+    @cached_property
+    def keys(self) -> tuple[dict[str, str], ...]:
+        """For each unit, the keys of its stored trials by the names of its metrics (:meth:`Unit.keys`)."""
+        return tuple(unit.keys(self.seed, self.perturbation) for unit in self.units)
+
+    def changed(
+        self, *, trials: int | None = None, seed: int | None = None, perturbation: int | None = None
+    ) -> Plan:
+        """The plan with another number of trials, another seed or another perturbation.
+
+        Raises
+        ------
+        ConfigError
+            If there is no trial, or the seed or the perturbation is negative.
+        """
+        given = {"trials": trials, "seed": seed}
+        experiment = self.experiment.model_copy(
+            update={name: value for name, value in given.items() if value is not None}
+        )
+        perturbation = self.perturbation if perturbation is None else perturbation
+        if experiment.trials < 1 or min(experiment.seed, perturbation) < 0:
+            raise ConfigError(
+                "trials must be at least 1, seed and perturbation at least 0, not "
+                f"{experiment.trials}, {experiment.seed} and {perturbation}"
+            )
+        return replace(self, experiment=experiment, perturbation=perturbation)
 
     @property
     def name(self) -> str:
@@ -202,6 +246,24 @@ class Plan:
         """The folder with the paper's printed numbers."""
         paper = self.experiment.paper
         return None if paper is None else self.root / "experiments" / paper
+
+    def paper_file(self, name: str) -> bytes | None:
+        """A file of the paper's folder as it was when it was first asked for; None if there was none.
+
+        Raises
+        ------
+        ConfigError
+            If the file cannot be read.
+        """
+        if self.paper is not None and name not in self._paper_files:
+            path = self.paper / name
+            try:
+                self._paper_files[name] = path.read_bytes()
+            except FileNotFoundError:
+                self._paper_files[name] = None
+            except OSError as error:
+                raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from None
+        return self._paper_files.get(name)
 
 
 def load(

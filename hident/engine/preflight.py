@@ -7,10 +7,10 @@ import numpy as np
 from hident.config.load import Problem
 from hident.engine.expansion import Unit
 from hident.engine.experiment import Plan
-from hident.engine.trial import Data, generate
-from hident.errors import EstimationError, SimulationError
+from hident.engine.replay import OneTrial
+from hident.engine.trial import Data
+from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec
-from hident.records import Record
 
 
 def check_records(plan: Plan) -> None:
@@ -21,8 +21,7 @@ def check_records(plan: Plan) -> None:
     ConfigError
         With one line for each estimator that cannot work with its case's records.
     """
-    problems = []
-    records: dict[int, Record | None] = {}
+    problems, trial = [], OneTrial(plan, 0)
     for unit in plan.units:
         try:
             unit.estimator.check_experiments(_intervals(unit.data), unit.data.dt)
@@ -31,17 +30,12 @@ def check_records(plan: Plan) -> None:
             continue
         if type(unit.estimator).check_record is EstimatorSpec.check_record:
             continue
-        key = unit.data.key
+        # A simulation that fails is a failed trial of the run to come.
+        record, _ = trial.record(unit.data)
         try:
-            with np.errstate(all="ignore"):
-                if key not in records:
-                    # A simulation that fails is a failed trial of the run to come.
-                    records[key] = None
-                    records[key] = generate(unit.data, plan.experiment.seed, 0)
-                if (record := records[key]) is not None:
+            if record is not None:
+                with np.errstate(all="ignore"):
                     unit.estimator.check_record(record)
-        except SimulationError:
-            continue
         except EstimationError as error:
             problems.append(_problem(unit, error))
     if problems:

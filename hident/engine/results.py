@@ -127,8 +127,6 @@ class Results:
     """All trials of a plan: complete, or it would not exist."""
 
     plan: Plan
-    seed: int
-    trials: int
     series: tuple[Series, ...]
 
     def select(

@@ -1,4 +1,4 @@
-"""The trials store: one SQLite file that keeps every score ever computed.
+"""The trials store: one SQLite file that keeps every score ever computed; or one in memory for a single use.
 
 A row is what one metric gave in one trial of one unit: keyed by data, estimator and metric (see
 :meth:`hident.engine.expansion.Unit.keys`) and the trial's number. One process writes, in transactions of one
@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -45,6 +45,32 @@ class Trial:
     trial: int
     values: Array
     failure: str = ""
+
+
+class TrialStore(Protocol):
+    """What a run needs of a store."""
+
+    def trials(self, key: str, below: int) -> Iterable[Trial]:
+        """The stored trials of a key with numbers under ``below``, in order."""
+
+    def add(self, units: Mapping[str, Any], trials: Iterable[tuple[str, Trial]]) -> None:
+        """Keep trials by their keys, and what each key stands for."""
+
+
+class MemoryStore:
+    """A store in memory, which writes no file."""
+
+    def __init__(self) -> None:
+        self._trials: dict[str, dict[int, Trial]] = {}
+
+    def trials(self, key: str, below: int) -> list[Trial]:
+        """The stored trials of a key with numbers under ``below``, in order."""
+        return [trial for number, trial in sorted(self._trials.get(key, {}).items()) if number < below]
+
+    def add(self, units: Mapping[str, Any], trials: Iterable[tuple[str, Trial]]) -> None:
+        """Keep trials by their keys; what the keys stand for is not asked for again."""
+        for key, trial in trials:
+            self._trials.setdefault(key, {})[trial.trial] = trial
 
 
 def _checksum(key: str, trial: int, data: bytes, failure: str) -> int:
@@ -169,7 +195,7 @@ class Store:
 
 
 class Writer:
-    """The one writer of a store."""
+    """The one writer of a file: a :class:`TrialStore`."""
 
     def __init__(self, connection: sqlite3.Connection, store: Store) -> None:
         self._connection, self._store = connection, store

@@ -12,9 +12,9 @@ from hident.config.suggest import one_of
 from hident.engine.run_files import RUN, SENSITIVITY, TRIALS
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.ledger.compare import compare
-from hident.ledger.run_folder import altered, file_digest, read_run, written
 from hident.ledger.sensitivity import Sensitivity
 from hident.ledger.trial_values import TrialValues
+from hident.run_folder import RunFolder
 
 
 @dataclass(frozen=True)
@@ -86,25 +86,26 @@ def _known(accepted: Path, values: TrialValues, repetitions: int) -> bytes | Non
         return None
     measured = {unit: count.perturbed for unit, count in counts.items()}
     wanted = dict.fromkeys(values.units, values.trials * repetitions)
-    return data if same and measured == wanted and not altered(accepted) else None
+    return data if same and measured == wanted and not RunFolder(accepted).altered() else None
 
 
 def _files(ours: Path, config: str) -> set[PurePath]:
     """``run.json`` and the files that it lists, relative to the folder."""
-    path = ours / RUN
-    if not path.is_file():
+    path, folder = ours / RUN, RunFolder(ours)
+    if not folder.finished:
         raise NothingToCompare(f"{ours} holds no finished run: hident run {config}")
-    match read_run(ours):
-        case {"files": [*listed]} if all(isinstance(name, str) for name in listed):
-            files = {PurePath(name) for name in (RUN, *listed)}
-        case _:
-            raise ConfigError(f"{path} does not list the files of a run: hident run {config}")
+    if undrawn := folder.undrawn():
+        names = one_of(undrawn)
+        raise ConfigError(f"{ours} lacks {names}, which could not be drawn: hident run {config}")
+    if not (listed := folder.files()):
+        raise ConfigError(f"{path} does not list the files of a run: hident run {config}")
+    files = {PurePath(name) for name in (RUN, *listed)}
     for name in sorted(files):
         if name.is_absolute() or ".." in name.parts:
             raise ConfigError(f"{path} lists {name}, which is not in its folder")
         if not (ours / name).is_file():
             raise ConfigError(f"{ours} lacks {name}, which its run.json lists: hident run {config}")
-    if changed := altered(ours):
+    if changed := folder.altered():
         verb = "was" if len(changed) == 1 else "were"
         raise ConfigError(f"{ours}: {one_of(changed)} {verb} altered since the run: hident run {config}")
     return files
@@ -122,7 +123,7 @@ def _replace(
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(ours / name, copy)
         if sensitivity is not None:
-            _add(staged, sensitivity)
+            RunFolder(staged).add(SENSITIVITY, sensitivity)
         accepted = _changes(staged, target, config)
         if target.exists():
             target.rename(old)
@@ -130,14 +131,6 @@ def _replace(
     finally:
         _tidy(target, staged, old)
     return accepted
-
-
-def _add(staged: Path, sensitivity: bytes) -> None:
-    (staged / SENSITIVITY).write_bytes(sensitivity)
-    run = read_run(staged)
-    if run and "sha256" in run.get("provenance", {}):
-        run["provenance"]["sha256"][SENSITIVITY] = file_digest(staged / SENSITIVITY)
-        (staged / RUN).write_text(written(run), encoding="utf-8", newline="\n")
 
 
 def _tidy(target: Path, staged: Path, old: Path) -> None:

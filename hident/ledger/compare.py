@@ -22,10 +22,10 @@ from hident.engine.results import STATISTICS
 from hident.engine.run_files import RUN, SENSITIVITY, TABLE, TRIALS
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.ledger.contents import Row, content_differences, decode_table
-from hident.ledger.run_folder import altered, arithmetic, read_run
 from hident.ledger.sensitivity import Sensitivity
 from hident.ledger.trial_comparison import TrialComparison, follows
 from hident.ledger.trial_values import Key, TrialValues
+from hident.run_folder import RunFolder
 
 CHANCE = 0.01
 """That a comparison of sound results finds, in any of its units, more moved trials than likely."""
@@ -167,7 +167,7 @@ class _Pair:
         differences = [
             f"{name}: {whose}altered since it was written"
             for folder, whose in ((self._ours, ""), (self._reference, "the reference was "))
-            for name in altered(folder)
+            for name in RunFolder(folder).altered()
         ]
         found.differences += [f"{self._title}/{line}" for line in differences]
         if self.trials is None:
@@ -211,8 +211,8 @@ class _Pair:
             return None
         if ours.axes != reference.axes:
             return None
-        runs = [read_run(folder) for folder in (self._ours, self._reference)]
-        same = None in runs or arithmetic(runs[0] or {}) == arithmetic(runs[1] or {})
+        used = [RunFolder(folder).arithmetic() for folder in (self._ours, self._reference)]
+        same = None in used or used[0] == used[1]
         sensitivity = None if same else (_sensitivity(self._reference) or Sensitivity(reference.axes, {}))
         return TrialComparison(ours, reference, self._rtol, sensitivity)
 

@@ -7,6 +7,7 @@ the printed digits. ``reasons.yaml`` lists reasons, each with the texts or patte
 from __future__ import annotations
 
 import csv
+import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from hident.engine.experiment import Label, Plan, PublishedCells
 from hident.errors import ConfigError
 
 _COLUMNS = ("table", "row", "quantity", "printed", "note")
+PUBLISHED, REASONS = "published.csv", "reasons.yaml"
 Key = tuple[str, str, str]
 
 
@@ -78,20 +80,20 @@ class _Reasons(Spec):
     """The reasons; the first that covers a number counts."""
 
 
-def read_published(paper: Path) -> dict[Key, Printed]:
-    """The printed numbers of a paper's folder, by table, row and quantity.
+def read_published(paper: Path, content: bytes | None = None) -> dict[Key, Printed]:
+    """The printed numbers of a paper's folder, or of its file's content, by table, row and quantity.
 
     Raises
     ------
     ConfigError
         If the file is missing, lacks a column, repeats a key or holds a number that is none.
     """
-    path = paper / "published.csv"
+    path = paper / PUBLISHED
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.reader(file)
-            header = tuple(next(reader, ()))
-            rows = [(reader.line_num, cells) for cells in reader if cells]
+        text = (path.read_bytes() if content is None else content).decode()
+        reader = csv.reader(io.StringIO(text, newline=""))
+        header = tuple(next(reader, ()))
+        rows = [(reader.line_num, cells) for cells in reader if cells]
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -153,7 +155,7 @@ def cells_astray(plan: Plan, cells: Sequence[PublishedCells]) -> Iterator[tuple[
     """
     if plan.paper is None:
         return
-    numbers = read_published(plan.paper)
+    numbers = published_of(plan)
     every = ((i, cell, *pair) for i, cell in enumerate(cells) for pair in cell.pairs())
     for i, cell, quantity, metric in every:
         cases = [
@@ -186,19 +188,31 @@ def check_published(plan: Plan) -> None:
         raise plan.document.error(problems)
 
 
-def read_reasons(paper: Path) -> tuple[Reason, ...]:
-    """The reasons of a paper's folder; none if there is no file.
+def read_reasons(paper: Path, content: bytes | None = None) -> tuple[Reason, ...]:
+    """The reasons of a paper's folder, or of its file's content; none if there is no file.
 
     Raises
     ------
     ConfigError
         If the file is not a list of reasons.
     """
-    path = paper / "reasons.yaml"
-    if not path.exists():
+    path = paper / REASONS
+    if content is None and not path.exists():
         return ()
-    document = read(path)
+    document = read(path, content)
     try:
         return _Reasons.model_validate(document.data).reasons
     except ValidationError as error:
         raise document.error(problems_of(error)) from None
+
+
+def published_of(plan: Plan) -> dict[Key, Printed]:
+    """The printed numbers of a plan's paper, from the file as the plan knows it."""
+    assert plan.paper is not None
+    return read_published(plan.paper, plan.paper_file(PUBLISHED))
+
+
+def reasons_of(plan: Plan) -> tuple[Reason, ...]:
+    """The reasons of a plan's paper, from the file as the plan knows it."""
+    content = plan.paper_file(REASONS)
+    return () if plan.paper is None or content is None else read_reasons(plan.paper, content)

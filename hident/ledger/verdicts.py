@@ -18,7 +18,7 @@ import numpy as np
 
 from hident.engine.experiment import Published, PublishedCells, Statistic
 from hident.engine.results import Results, Series
-from hident.ledger.published import Printed, printed_beside, read_published, read_reasons
+from hident.ledger.published import Printed, printed_beside, published_of, reasons_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -70,10 +70,10 @@ def judge(results: Results) -> tuple[Verdict, ...]:
     ConfigError
         If a cell that the configuration names is not among the printed numbers.
     """
-    published, paper = results.plan.experiment.published, results.plan.paper
-    if published is None or paper is None:
+    published = results.plan.experiment.published
+    if published is None or results.plan.paper is None:
         return ()
-    numbers, reasons = read_published(paper), read_reasons(paper)
+    numbers, reasons = published_of(results.plan), reasons_of(results.plan)
     verdicts = []
     every = ((cell, *pair) for cell in published.cells for pair in cell.pairs())
     for cell, quantity, metric in every:

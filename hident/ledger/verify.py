@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+from hident.engine.run_files import RUN
 from hident.errors import ConfigError, NothingToCompare
 from hident.ledger.published import Key, Reason, read_published, read_reasons
+from hident.run_folder import RunFolder
 
 
 @dataclass(frozen=True)
@@ -74,12 +75,10 @@ def _covering(reasons: tuple[Reason, ...], config: str, key: Key) -> int | None:
 
 
 def _origin(folder: Path) -> tuple[str, str]:
-    path = folder / "run.json"
-    try:
-        experiment = json.loads(path.read_bytes())["experiment"]
-        return str(experiment["config"]), str(experiment["resolved"]["paper"])
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise ConfigError(f"{path} cannot be read ({error}): run the configuration again") from None
+    match RunFolder(folder).run():
+        case {"experiment": {"config": config, "resolved": {"paper": paper}}}:
+            return str(config), str(paper)
+    raise ConfigError(f"{folder / RUN} is not that of a run for a paper: run the configuration again")
 
 
 def _verdicts(path: Path) -> list[dict[str, str]]:

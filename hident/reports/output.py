@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
+import hashlib
 import platform
-import shutil
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import hident
 from hident import arithmetic
@@ -20,86 +20,88 @@ from hident.config.spec import canonical
 from hident.engine.experiment import Plan
 from hident.engine.fingerprint import code
 from hident.engine.results import Results
-from hident.engine.run_files import CRASHES, PAGE, RUN, TABLE, TRIALS, VERDICTS, figure_file, table_file
+from hident.engine.run_files import PAGE, TABLE, TRIALS, VERDICTS, figure_file, table_file
 from hident.engine.trial import digest
-from hident.errors import ConfigError, StoreError
-from hident.ledger.run_folder import altered, file_digest, read_run
-from hident.ledger.run_folder import written as written_run
+from hident.ledger.published import PUBLISHED, REASONS
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import Verdict, frame, judge
 from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, misfits
 from hident.reports.scoring import scoring
 from hident.reports.style import style
 from hident.reports.tables.writing import failures, written
+from hident.run_folder import RunFolder, State
 
-State = Literal["none", "old", "altered", "up to date"]
 _PACKAGES = ("numpy", "scipy", "finufft", "pandas", "matplotlib", "pydantic")
 
 
-def output_key(plan: Plan, seed: int, trials: int) -> str:
-    """Hash of everything that the written files depend on."""
-    experiment, paper = plan.experiment, plan.paper
-    files = [] if paper is None else [paper / "published.csv", paper / "reasons.yaml"]
-    return digest(
-        {
-            "units": [unit.keys(seed) for unit in plan.units],
-            "trials": trials,
-            "experiment": canonical(experiment),
-            "paper": [file_digest(f) for f in files if f.is_file()],
-            "code": code(["hident.reports.output", *_modules(experiment.tables, experiment.figures)]),
-            "libraries": [version(name) for name in _PACKAGES],
+class Outputs:
+    """The outputs of a plan in a folder."""
+
+    def __init__(self, plan: Plan, folder: Path) -> None:
+        self.plan, self.folder = plan, folder
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of everything that the files depend on, with the paper's files as the plan knows them."""
+        experiment = self.plan.experiment
+        return digest(
+            {
+                "units": self.plan.keys,
+                "trials": self.plan.trials,
+                "experiment": canonical(experiment),
+                "paper": [
+                    content and hashlib.sha256(content).hexdigest()
+                    for content in map(self.plan.paper_file, (PUBLISHED, REASONS))
+                ],
+                "code": code(["hident.reports.output", *_modules(experiment.tables, experiment.figures)]),
+                "libraries": [version(name) for name in _PACKAGES],
+            }
+        )
+
+    def state(self) -> State:
+        """Whether the folder holds, unaltered, what a run of the plan writes."""
+        return RunFolder(self.folder).state(self.key)
+
+    def write(self, results: Results, run: Mapping[str, Any]) -> tuple[str, ...]:
+        """Write tables, figures, verdicts and run.json; ``run`` joins the provenance.
+
+        Returns a message for each figure that cannot be drawn, such as one with a label that is no
+        mathematics: all else is written, and run.json lists the files of the figures as ``undrawn``.
+        Whatever else a figure raises is a fault, and is raised when all else is written.
+
+        Raises
+        ------
+        StoreError
+            If the folder cannot be written.
+        ConfigError
+            If a table or the verdicts ask for a printed number that does not exist.
+        """
+        verdicts, plan = judge(results), self.plan
+        tables = {
+            name: spec.build(results, verdicts)
+            for name, spec in plan.experiment.tables.items()
+            if isinstance(spec, TableSpec)
         }
-    )
-
-
-def state(folder: Path, key: str) -> State:
-    """Whether the folder holds, unaltered, what a run with this key wrote."""
-    if not (folder / RUN).exists():
-        return "none"
-    provenance = (read_run(folder) or {}).get("provenance")
-    if not isinstance(provenance, dict) or "key" not in provenance:
-        return "altered"
-    if provenance["key"] != key:
-        return "old"
-    return "altered" if altered(folder) else "up to date"
-
-
-def write(results: Results, folder: Path, run: Mapping[str, Any]) -> None:
-    """Write tables, figures, verdicts and run.json; ``run`` joins the provenance.
-
-    Raises
-    ------
-    StoreError
-        If the folder cannot be written.
-    ConfigError
-        If a table or the verdicts ask for a printed number that does not exist.
-    """
-    verdicts = judge(results)
-    experiment = results.plan.experiment
-    tables = {
-        name: spec.build(results, verdicts)
-        for name, spec in experiment.tables.items()
-        if isinstance(spec, TableSpec)
-    }
-    staged = folder / ".new"
-    try:
-        shutil.rmtree(staged, ignore_errors=True)
-        staged.mkdir(parents=True)
-        files = _write_text_files(results, verdicts, tables, staged)
-        files += _write_figures(results, verdicts, staged)
-        _write_text(staged / RUN, _run_json(results, staged, files, run))
-        for stale in {*_listed(folder), CRASHES} - set(files):
-            (folder / stale).unlink(missing_ok=True)
-        for name in (*files, RUN):
-            (staged / name).replace(folder / name)
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise StoreError(
-            f"{error.filename2 or folder} cannot be written ({reason}). All trials are kept: make room for "
-            "the outputs, or name another folder with --out, and run again"
-        ) from None
-    finally:
-        shutil.rmtree(staged, ignore_errors=True)
+        with RunFolder(self.folder).renewed() as new:
+            files = _write_tables(results, verdicts, tables, new)
+            undrawn = _write_figures(results, verdicts, new.path)
+            files += [figure_file(name) for name in plan.experiment.figures if name not in undrawn]
+            new.seal(
+                {
+                    "experiment": _described(plan),
+                    "files": sorted(files),
+                    **({"undrawn": sorted(map(figure_file, undrawn))} if undrawn else {}),
+                    "provenance": {**_provenance(plan), **run, "key": self.key},
+                }
+            )
+        for error in undrawn.values():
+            if not isinstance(error, ValueError):
+                raise error
+        return tuple(
+            f"{plan.path}: figures.{name}: cannot be drawn ({said})"
+            for name, error in undrawn.items()
+            for said in str(error).strip().splitlines()[-1:] or [type(error).__name__]
+        )
 
 
 def check(plan: Plan) -> None:
@@ -122,21 +124,10 @@ def check(plan: Plan) -> None:
         raise plan.document.error(problems)
 
 
-def keep_tracebacks(tracebacks: str, folder: Path) -> Path | None:
-    """Write the tracebacks of crashes to a file; None if that is impossible."""
-    path = folder / CRASHES
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        _write_text(path, tracebacks)
-    except OSError:
-        return None
-    return path
-
-
 def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str, Table]) -> str:
     """The text of table.md."""
     experiment = results.plan.experiment
-    parts = [f"# {experiment.title}", f"{results.trials} trials, seed {results.seed}."]
+    parts = [f"# {experiment.title}", f"{results.plan.trials} trials, seed {results.plan.seed}."]
     if said := list(scoring(results.plan)):
         parts.append(" ".join(said))
     parts += [table.markdown() for table in tables.values()]
@@ -181,8 +172,8 @@ def _differences(verdicts: Sequence[Verdict]) -> list[str]:
     ]
 
 
-def _write_text_files(
-    results: Results, verdicts: Sequence[Verdict], tables: Mapping[str, Table], folder: Path
+def _write_tables(
+    results: Results, verdicts: Sequence[Verdict], tables: Mapping[str, Table], folder: RunFolder
 ) -> list[str]:
     texts = {TABLE: results.frame().to_csv(index=False, lineterminator="\n")}
     for name, table in tables.items():
@@ -192,18 +183,14 @@ def _write_text_files(
         texts[VERDICTS] = frame(verdicts).to_csv(index=False, lineterminator="\n")
     texts[PAGE] = markdown(results, verdicts, tables)
     for name, text in texts.items():
-        _write_text(folder / name, text)
-    (folder / TRIALS).write_bytes(TrialValues.of(results).encoded())
+        folder.write_text(name, text)
+    (folder.path / TRIALS).write_bytes(TrialValues.of(results).encoded())
     return [*texts, TRIALS]
 
 
-def _write_text(path: Path, text: str) -> None:
-    # The text of an error may hold what is no letter, such as one half of a pair.
-    path.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
-
-
-def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) -> list[str]:
-    names = []
+def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) -> dict[str, Exception]:
+    """Write what can be drawn; why the others cannot, by their names."""
+    undrawn: dict[str, Exception] = {}
     for name, spec in results.plan.experiment.figures.items():
         assert isinstance(spec, FigureSpec)
         with style():
@@ -211,55 +198,39 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
                 figure = spec.draw(results, verdicts)
                 # Without the writer's version in it, the file depends on what it shows alone.
                 figure.savefig(folder / figure_file(name), metadata={"Software": None})
-            except ValueError as error:  # Such as a label that is no mathematics.
-                reason = str(error).strip().splitlines()[-1]
-                raise ConfigError(
-                    f"{results.plan.path}: figures.{name}: cannot be drawn ({reason}). All trials are kept"
-                ) from None
-        names.append(figure_file(name))
-    return names
+            except OSError:
+                raise
+            except Exception as error:
+                undrawn[name] = error
+                # What was begun of it.
+                (folder / figure_file(name)).unlink(missing_ok=True)
+    return undrawn
 
 
-def _run_json(results: Results, folder: Path, files: Sequence[str], run: Mapping[str, Any]) -> str:
-    plan = results.plan
+def _described(plan: Plan) -> dict[str, Any]:
+    """The experiment in run.json."""
     resolved = canonical(plan.experiment)
-    content: dict[str, Any] = {
-        "experiment": {
-            "config": plan.name,
-            "hash": digest(resolved),
-            "seed": results.seed,
-            "trials": results.trials,
-            "resolved": resolved,
-        },
-        "files": sorted(files),
-        "provenance": {
-            "hident": hident.__version__,
-            "python": platform.python_version(),
-            "libraries": {name: version(name) for name in _PACKAGES},
-            **_git(plan.root),
-            "platform": platform.platform(),
-            "cpu": _cpu(),
-            "arithmetic": {"identity": arithmetic.identity(), **arithmetic.in_use()},
-            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-            **run,
-            "key": output_key(plan, results.seed, results.trials),
-        },
+    return {
+        "config": plan.name,
+        "hash": digest(resolved),
+        "seed": plan.seed,
+        "trials": plan.trials,
+        "resolved": resolved,
     }
-    content["provenance"]["sha256"] = {
-        **{name: file_digest(folder / name) for name in files},
-        # Of all but these hashes, as plain data.
-        RUN: digest(content),
-    }
-    return written_run(content)
 
 
-def _listed(folder: Path) -> set[str]:
-    """The files that an earlier run wrote here."""
-    try:
-        names = json.loads((folder / RUN).read_bytes())["files"]
-        return {name for name in names if isinstance(name, str) and Path(name).name == name}
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return set()
+def _provenance(plan: Plan) -> dict[str, Any]:
+    """Where the files come from, in run.json."""
+    return {
+        "hident": hident.__version__,
+        "python": platform.python_version(),
+        "libraries": {name: version(name) for name in _PACKAGES},
+        **_git(plan.root),
+        "platform": platform.platform(),
+        "cpu": _cpu(),
+        "arithmetic": {"identity": arithmetic.identity(), **arithmetic.in_use()},
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
 
 
 def _modules(*families: Mapping[str, Any]) -> set[str]:

@@ -338,6 +338,27 @@ def test_lines_in_a_log_have_the_rate_and_the_time_left(capsys: pytest.CaptureFi
     ]
 
 
+def test_a_figure_that_cannot_be_drawn_withholds_nothing_else(lab: Lab) -> None:
+    curve = {
+        **{"kind": "curve", "x": "samples", "metric": "a a_1", "y_label": "e", "panels": [["iv"]]},
+        "x_label": r"$\foo$",
+    }
+    lab.configure(figures={"f": curve})
+    for _ in range(2):
+        said = lab.run("--quiet", code=1)
+        assert said.startswith("error: tiny.yaml: figures.f: cannot be drawn (")
+        assert said.endswith("); all other outputs are written\n")
+    assert {path.name for path in (lab.folder / "out/tiny").iterdir()} == {
+        *("run.json", "table.csv", "table.md", "trials.csv.xz")
+    }
+    assert "incomplete" in lab.hident("status", "tiny.yaml").stdout
+    refused = lab.hident("accept", "tiny", code=2).stderr
+    assert refused == "error: out/tiny lacks f.png, which could not be drawn: hident run tiny\n"
+    lab.configure(figures={"f": {**curve, "x_label": "N"}})
+    lab.run("--quiet")
+    assert (lab.folder / "out/tiny/f.png").exists()
+
+
 # What is stored
 
 

@@ -20,6 +20,7 @@ LAYERS = (
     ("console",),
     ("reports",),
     ("ledger",),
+    ("run_folder",),
     ("engine",),
     ("estimators", "metrics"),
     ("signals",),

@@ -73,4 +73,4 @@ def made(
         for unit in plan.units
         for label in unit.metric_labels
     ]
-    return Results(plan, plan.experiment.seed, trials, tuple(series))
+    return Results(plan, tuple(series))

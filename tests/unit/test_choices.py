@@ -85,7 +85,7 @@ def make(tmp_path):
             for label in unit.metric_labels
             for found in [(values or {}).get((label, unit.name, unit.labels["type"]), np.ones(4))]
         ]
-        return Results(plan, 1, 4, tuple(series))
+        return Results(plan, tuple(series))
 
     return results
 

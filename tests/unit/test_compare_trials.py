@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from collections.abc import Callable
@@ -13,19 +14,17 @@ import numpy as np
 import pytest
 
 from hident import plugins
-from hident.engine.executors import SerialExecutor
 from hident.engine.experiment import load
 from hident.engine.results import Results
 from hident.engine.runner import run
-from hident.engine.store import Store
+from hident.engine.store import MemoryStore
 from hident.engine.trial import digest
 from hident.errors import ConfigError
 from hident.ledger.accept import accept
 from hident.ledger.compare import Comparison, compare
-from hident.ledger.run_folder import file_digest
 from hident.ledger.sensitivity import Count, Sensitivity
 from hident.ledger.trial_values import TrialValues
-from hident.reports.output import write
+from hident.reports.output import Outputs
 
 if TYPE_CHECKING:
     from hident.arrays import Array
@@ -39,16 +38,18 @@ class Bench:
     """A run of a small experiment, accepted; ``again`` writes another run of it."""
 
     def __init__(self, lab: Lab) -> None:
-        self._lab = lab
+        self._lab, self._store = lab, MemoryStore()
         self.out, self.results = lab.folder / "out", lab.folder / "results"
         self.plain = self.run(trials=40)
-        write(self.plain, self.out / "tiny", {})
+        self.write(self.plain)
 
     def run(self, **changes: Any) -> Results:
         self._lab.configure(**changes)
         plan = load(self._lab.folder / "tiny.yaml")
-        with Store(self._lab.folder / "store").writing() as writer:
-            return run(plan, writer, SerialExecutor(), 1, trials=plan.experiment.trials, seed=7)
+        return run(plan, store=self._store)
+
+    def write(self, results: Results) -> None:
+        Outputs(results.plan, self.out / "tiny").write(results, {})
 
     def accept(self, moved: int = 0, perturbed: int = 80) -> None:
         """Accept the run, as if so many of the perturbed estimates of each unit had moved."""
@@ -64,7 +65,7 @@ class Bench:
         values = series[1].values.copy()
         change(values)
         series[1] = replace(series[1], values=values)
-        write(replace(self.plain, series=tuple(series)), self.out / "tiny", {})
+        self.write(replace(self.plain, series=tuple(series)))
         if foreign:
             self.foreign()
 
@@ -80,7 +81,8 @@ def _rewrite(folder: Path, change: Callable[[dict[str, Any]], None], *names: str
     run = json.loads((folder / "run.json").read_text())
     change(run)
     hashes = run["provenance"].pop("sha256")
-    hashes |= {"run.json": digest(run), **{name: file_digest(folder / name) for name in names}}
+    hashes |= {"run.json": digest(run)}
+    hashes |= {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in names}
     run["provenance"]["sha256"] = hashes
     (folder / "run.json").write_text(json.dumps(run))
 
@@ -150,7 +152,7 @@ def test_what_each_unit_might_may_be_more_than_all_together_may(bench: Bench) ->
 
     bench.accept(perturbed=40)
     alone = Count(40, 40, 0).likely(40, 0.01 / 4)
-    write(of_all(bench.plain, alone), bench.out / "tiny", {})
+    bench.write(of_all(bench.plain, alone))
     bench.foreign()
     found = bench.compare()
     together = Count(160, 160, 0).likely(160, 0.01 / 4)
@@ -201,7 +203,7 @@ def test_a_change_of_a_thousandth_is_seen(bench: Bench, change: dict[str, Any], 
     # As if the change were in the code: the configuration says what it said.
     changed = bench.run(**change)
     series = [replace(s, unit=p.unit) for s, p in zip(changed.series, bench.plain.series, strict=True)]
-    write(replace(bench.plain, series=tuple(series)), bench.out / "tiny", {})
+    bench.write(replace(bench.plain, series=tuple(series)))
     if foreign:
         bench.foreign()
     assert any("estimator 'iv': 40 of 40 trials" in line for line in bench.compare().differences)
@@ -246,7 +248,7 @@ def test_a_spread_that_is_rounding_has_no_digits(bench: Bench) -> None:
 
 def test_a_missing_series_is_named(bench: Bench) -> None:
     bench.accept()
-    write(replace(bench.plain, series=bench.plain.series[:-1]), bench.out / "tiny", {})
+    bench.write(replace(bench.plain, series=bench.plain.series[:-1]))
     assert (
         "tiny: samples 80, estimator 'iv', metric a a_1: its trials are missing"
         in bench.compare().differences
@@ -255,14 +257,14 @@ def test_a_missing_series_is_named(bench: Bench) -> None:
 
 def test_another_number_of_trials_is_a_difference_unless_the_common_ones_are_asked_for(bench: Bench) -> None:
     bench.accept()
-    write(bench.run(trials=15), bench.out / "tiny", {})
+    bench.write(bench.run(trials=15))
     assert bench.compare().differences == ("tiny: 15 trials, reference 40: --partial compares those of both",)
     assert bench.compare(partial=True) == Comparison((), 1, ())
     bench.again(_branch(5), foreign=True)
-    few = replace(bench.plain, trials=15, series=tuple(
+    few = replace(bench.plain, plan=bench.plain.plan.changed(trials=15), series=tuple(
         replace(s, values=s.values[:15] + (0.3 if i == 1 else 0.0)) for i, s in enumerate(bench.plain.series)
     ))  # fmt: skip
-    write(few, bench.out / "tiny", {})
+    bench.write(few)
     (unit,) = bench.compare(partial=True).differences
     assert unit.startswith(f"{_UNIT}15 of 15 trials differ (0, 1, ")
 
@@ -297,7 +299,7 @@ def test_a_digit_too_small_for_the_tolerance_is_an_alteration(bench: Bench) -> N
 def test_accept_refuses_a_folder_that_is_not_what_was_written(bench: Bench) -> None:
     before = (bench.out / "tiny/table.csv").read_bytes()
     few = bench.run(trials=15)
-    write(few, bench.out / "tiny", {})
+    bench.write(few)
     (bench.out / "tiny/table.csv").write_bytes(before)
     with pytest.raises(ConfigError, match=r"tiny: table\.csv was altered since the run: hident run tiny"):
         bench.accept()
@@ -330,7 +332,7 @@ def test_a_stored_sensitivity_is_kept_as_long_as_the_trials_are_the_same(bench: 
 
     assert [accepted(), accepted()] == [1, 1]
     other = bench.run(title="Another title")
-    write(other, bench.out / "tiny", {})
+    bench.write(other)
     assert accepted() == 1
     assert accepted(repetitions=3) == 2
     bench.again(_branch(5), foreign=False)

@@ -10,7 +10,6 @@ import pytest
 
 from hident import plugins
 from hident.config.spec import component
-from hident.engine.executors import SerialExecutor
 from hident.engine.experiment import load
 from hident.engine.results import Results, grouped
 from hident.engine.runner import CrashReport, run, stored
@@ -137,7 +136,7 @@ def _run(lab: Lab, **changes: Any) -> Results:
     lab.configure(**changes)
     plan = load(lab.folder / "tiny.yaml")
     with Store(lab.folder / "s").writing() as writer:
-        return run(plan, writer, SerialExecutor(), 1, trials=plan.experiment.trials, seed=1)
+        return run(plan, store=writer)
 
 
 def test_a_metric_that_fails_takes_no_other_metric_along(lab: Lab) -> None:
@@ -175,7 +174,7 @@ def test_a_metric_that_crashes_leaves_the_others_stored(lab: Lab) -> None:
     with pytest.raises(CrashReport, match="of estimator 'e' at samples 50 crashed: Unspeakable"):
         _run(lab, estimators=estimators, metrics=crashing, tables={}, trials=1)
     lab.configure(metrics=sound)
-    assert stored(load(lab.folder / "tiny.yaml"), Store(lab.folder / "s"), 1, 1) == [1, 0]
+    assert stored(load(lab.folder / "tiny.yaml"), Store(lab.folder / "s")) == [1, 0]
 
 
 def test_a_truth_that_is_no_number_is_named_with_its_place(lab: Lab) -> None:

@@ -93,7 +93,7 @@ def results(folder, rest, values=None):
         for unit in plan.units
         for label in unit.metric_labels
     )
-    return Results(plan, 1, 4, series)
+    return Results(plan, series)
 
 
 @pytest.fixture

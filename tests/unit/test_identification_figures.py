@@ -261,7 +261,7 @@ def make(tmp_path: Path):
             for label in unit.metric_labels:
                 found = (values or {}).get((label, *at), np.ones(5))
                 series.append(Series(unit, label, np.asarray(found, dtype=float)))
-        return Results(plan, 1, 5, tuple(series))
+        return Results(plan, tuple(series))
 
     return results
 

@@ -7,14 +7,13 @@ from pathlib import Path
 import pytest
 
 from hident.commands import export
-from hident.engine.executors import SerialExecutor
 from hident.engine.experiment import Plan
 from hident.engine.runner import run
 from hident.engine.store import Store
 from hident.errors import ConfigError
 from hident.ledger.accept import accept
 from hident.ledger.published import check_published
-from hident.reports.output import check, write
+from hident.reports.output import Outputs, check
 from tests.unit.plans import planned
 
 CONFIG = """\
@@ -120,9 +119,9 @@ def test_tables_figures_and_exports_do_without_it(plan, tmp_path: Path) -> None:
     found = plan(CONFIG + GRID + PUBLISHED)
     store = Store(tmp_path / "store")
     with store.writing() as writer:
-        results = run(found, writer, SerialExecutor(), 1, trials=3, seed=1)
+        results = run(found, store=writer)
     out = tmp_path / "out" / "a"
-    write(results, out, {})
+    Outputs(found, out).write(results, {})
     table = (out / "table.md").read_text()
     rows = [
         [cell.strip() for cell in line.split("|")] for line in table.splitlines() if line.startswith("| ")

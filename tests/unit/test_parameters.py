@@ -88,7 +88,7 @@ def make(tmp_path: Path):
             for unit in plan.units
             for label in unit.metric_labels
         )
-        return Results(plan, 1, 3, series)
+        return Results(plan, series)
 
     return results
 

@@ -186,7 +186,7 @@ class Stalling(SystemSpec):
 
     def simulate(self, u, dt=1.0):
         if u[0] < 1.0:
-            raise SimulationError(f"the integration stopped at t = {dt:g}")
+            {fails}
         return np.convolve(u, np.exp(-dt * np.arange(100.0)))[: len(u)]
 
     def truth(self):
@@ -194,8 +194,18 @@ class Stalling(SystemSpec):
 '''
 
 
-def test_simulations_that_fail_are_failed_trials_and_no_reason_to_refuse(lab):
-    (lab.folder / "probe.py").write_text(STALLING)
+@pytest.mark.parametrize(
+    ("fails", "why"),
+    [
+        (
+            'raise SimulationError(f"the integration stopped at t = {dt:g}")',
+            r"the integration stopped at t = 0\.1",
+        ),
+        ("dt / 0.0", "ZeroDivisionError: float division by zero"),
+    ],
+)
+def test_simulations_that_fail_are_failed_trials_and_no_reason_to_refuse(lab, fails, why):
+    (lab.folder / "probe.py").write_text(STALLING.replace("{fails}", fails))
     lab.configure(
         system="stalling",
         cases={"samples": [600]},
@@ -223,8 +233,7 @@ def test_simulations_that_fail_are_failed_trials_and_no_reason_to_refuse(lab):
     lab.run()
     text = (lab.folder / "out/tiny/table.md").read_text()
     said = re.search(
-        r"(\d+) of 12 trials of estimator 'two stage' at samples 600 failed "
-        r"\(the integration stopped at t = 0\.1\)",
+        rf"(\d+) of 12 trials of estimator 'two stage' at samples 600 failed \({why}\)",
         text,
     )
     assert said is not None, text

@@ -1,9 +1,12 @@
 """Tables and figures that cannot show a plan are refused before it runs."""
 
+import re
+
 import pytest
 
 from hident.errors import ConfigError
-from hident.reports.output import check, markdown, write
+from hident.reports.figures.curve import Curve
+from hident.reports.output import Outputs, check, markdown
 from tests.unit.results_maker import made
 
 LABELLED = "  size:\n    small: {noise: {kind: white, std: 1}}\n    large: {noise: {kind: white, std: 2}}\n"
@@ -85,11 +88,41 @@ def test_empty_lists_and_intervals_are_refused(tmp_path, rest):
         made(tmp_path, {}, rest=rest)
 
 
-def test_a_label_that_is_no_mathematics_is_named(tmp_path):
-    results = made(tmp_path, {}, rest=curve(x="samples", x_label="'$\\foo$'"))
-    with pytest.raises(ConfigError, match=r"figures.f: cannot be drawn \(.*\). All trials are kept"):
-        write(results, tmp_path / "out", {})
-    assert not (tmp_path / "out" / "run.json").exists()
+def _two_figures(label="N"):
+    other = curve(x="samples").replace("figures:\n  f:", "  g:")
+    return curve(x="samples", x_label=f"'{label}'") + other
+
+
+def test_a_label_that_is_no_mathematics_is_named_and_withholds_nothing_else(tmp_path):
+    results = made(tmp_path, {}, rest=_two_figures("$\\foo$"))
+    outputs = Outputs(results.plan, tmp_path / "out")
+    (said,) = outputs.write(results, {})
+    assert re.fullmatch(r".*some\.yaml: figures\.f: cannot be drawn \(.*\)", said)
+    assert {path.name for path in outputs.folder.iterdir()} == {
+        *("run.json", "table.csv", "table.md", "trials.csv.xz", "g.png")
+    }
+    assert outputs.state() == "incomplete"
+    repaired = made(tmp_path, {}, rest=_two_figures())
+    outputs = Outputs(repaired.plan, tmp_path / "out")
+    assert outputs.write(repaired, {}) == ()
+    assert outputs.state() == "up to date"
+    assert (outputs.folder / "f.png").exists()
+
+
+def test_a_fault_in_a_figure_is_raised_when_all_else_is_written(tmp_path, monkeypatch):
+    results = made(tmp_path, {}, rest=_two_figures())
+    outputs, draw = Outputs(results.plan, tmp_path / "out"), Curve.draw
+
+    def faulty(spec, results, verdicts):
+        if spec is results.plan.experiment.figures["f"]:
+            raise KeyError("a slip")
+        return draw(spec, results, verdicts)
+
+    monkeypatch.setattr(Curve, "draw", faulty)
+    with pytest.raises(KeyError, match="a slip"):
+        outputs.write(results, {})
+    assert (outputs.folder / "g.png").exists()
+    assert outputs.state() == "incomplete"
 
 
 def test_without_tables_all_statistics_are_shown(tmp_path):

@@ -89,7 +89,7 @@ def test_standard_error_of_too_few_or_equal_values(unit: Unit) -> None:
 def test_frame_has_the_case_the_names_and_the_statistics(lab: Lab) -> None:
     plan = load(lab.folder / "tiny.yaml")
     series = tuple(Series(unit, "a a_1", np.arange(3.0) + i) for i, unit in enumerate(plan.units))
-    results = Results(plan, 7, 3, series)
+    results = Results(plan, series)
     frame = results.frame()
     assert list(frame.columns) == [
         *("samples", "estimator", "metric", "trials", "failed", "mean", "std", "se", "median"),
@@ -102,7 +102,7 @@ def test_frame_has_the_case_the_names_and_the_statistics(lab: Lab) -> None:
 
 def test_series_are_selected_by_estimator_metric_and_labels(lab: Lab) -> None:
     plan = load(lab.folder / "tiny.yaml")
-    results = Results(plan, 7, 1, tuple(Series(unit, "a a_1", np.zeros(1)) for unit in plan.units))
+    results = Results(plan, tuple(Series(unit, "a a_1", np.zeros(1)) for unit in plan.units))
     assert len(list(results.select())) == 4
     assert [s.unit.name for s in results.select(labels={"samples": 80})] == ["known", "iv"]
     assert [s.unit.labels for s in results.select("iv", "a a_1", {"samples": "50"})] == [{"samples": 50}]

@@ -3,7 +3,7 @@
 import pytest
 
 from hident.engine.run_files import OWN
-from hident.reports.output import state
+from hident.reports.output import Outputs
 from tests.unit.plans import planned, refusals
 
 CONFIG = """\
@@ -91,4 +91,4 @@ def test_the_names_are_those_that_a_run_writes(lab):
 @pytest.mark.parametrize("text", ["", "{", "[]", "[" * 100_000, '{"provenance": 3}'])
 def test_a_run_json_that_cannot_be_read_is_altered(tmp_path, text):
     (tmp_path / "run.json").write_text(text)
-    assert state(tmp_path, "key") == "altered"
+    assert Outputs(planned(tmp_path, config()), tmp_path).state() == "altered"

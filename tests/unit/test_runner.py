@@ -15,15 +15,19 @@ import pytest
 
 from hident import plugins
 from hident.engine import fingerprint
-from hident.engine.executors import SerialExecutor, make_executor
-from hident.engine.experiment import load
+from hident.engine.executors import make_executor
+from hident.engine.experiment import Unit, load
 from hident.engine.results import Results
 from hident.engine.runner import run, stored
-from hident.engine.store import Store, Trial, Writer
-from hident.errors import TrialsCrashed
-from hident.reports.output import output_key
+from hident.engine.store import MemoryStore, Store, Trial, Writer
+from hident.errors import ConfigError, TrialsCrashed
+from hident.ledger.verdicts import judge
+from hident.reports.output import Outputs
+from tests.unit.results_maker import PUBLISHED, made
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from hident.config.spec import Spec
     from hident.engine.experiment import Plan
     from tests.conftest import Lab
@@ -63,20 +67,12 @@ def _run(
 ) -> tuple[Results, Told]:
     told = Told()
     with Store(lab.folder / store).writing() as writer:
-        trials, seed = plan.experiment.trials, plan.experiment.seed
-        results = run(
-            plan,
-            writer,
-            executor or SerialExecutor(),
-            workers,
-            **{"trials": trials, "seed": seed, "progress": told, **kw},
-        )
+        results = run(plan, store=writer, executor=executor, workers=workers, **{"progress": told, **kw})
     return results, told
 
 
 def _bytes(lab: Lab, plan: Plan, store: str = "s") -> dict[str, list[tuple[int, bytes]]]:
-    keys = [key for unit in plan.units for key in unit.keys(plan.experiment.seed).values()]
-    found = Store(lab.folder / store).read(keys, plan.experiment.trials)
+    found = Store(lab.folder / store).read([key for keys in plan.keys for key in keys.values()], plan.trials)
     return {key: [(t.trial, t.values.tobytes()) for t in trials] for key, trials in found.items()}
 
 
@@ -103,7 +99,7 @@ def test_same_bytes_by_one_worker_two_workers_threads_and_any_order(lab: Lab) ->
     assert [len(trials) for trials in expected.values()] == [6] * 4
 
     # Begun by one worker, ended by two.
-    _run(lab, plan, "pool", trials=2)
+    _run(lab, plan.changed(trials=2), "pool")
     with make_executor(2) as pool:
         results, told = _run(lab, plan, "pool", pool, 2)
     assert (told.stored, told.done) == (8, 16)
@@ -149,9 +145,7 @@ def test_more_trials_extend_a_run_and_fewer_compute_nothing(lab: Lab) -> None:
 def test_a_change_computes_what_depends_on_it(lab: Lab, change: dict[str, Any], computed: int) -> None:
     _run(lab, _plan(lab))
     plan = _plan(lab, **change)
-    assert (
-        sum(stored(plan, Store(lab.folder / "s"), 6, plan.experiment.seed)) == 6 * len(plan.units) - computed
-    )
+    assert sum(stored(plan, Store(lab.folder / "s"))) == 6 * len(plan.units) - computed
     _, told = _run(lab, plan)
     assert told.done == computed
 
@@ -267,7 +261,7 @@ def test_a_new_or_changed_metric_costs_its_own_scores_only(
 def test_scores_are_the_same_whether_a_metric_came_first_or_later(lab: Lab) -> None:
     both = _plan(lab, metrics={"a": _ONE, "b": _TWO}, tables={})
     _run(lab, both)
-    _run(lab, _plan(lab, metrics={"b": _TWO}), "later", trials=2)
+    _run(lab, _plan(lab, metrics={"b": _TWO}).changed(trials=2), "later")
     both = _plan(lab, metrics={"a": _ONE, "b": _TWO})
     results, told = _run(lab, both, "later")
     assert (told.stored, told.done) == (0, 24)
@@ -283,7 +277,8 @@ def test_stored_trials_are_read_once_and_keys_are_made_once(
     plan = _plan(lab)
     read: list[str] = []
     hashed: list[object] = []
-    read_one, hash_one = Writer.trials, fingerprint.fingerprint
+    keyed: list[Unit] = []
+    read_one, hash_one, keys_of = Writer.trials, fingerprint.fingerprint, Unit.keys
 
     def reading(writer: Writer, key: str, below: int) -> list[Trial]:
         read.append(key)
@@ -293,33 +288,77 @@ def test_stored_trials_are_read_once_and_keys_are_made_once(
         hashed.append(specs)
         return hash_one(specs)
 
+    def keying(unit: Unit, seed: int, perturbation: int = 0) -> dict[str, str]:
+        keyed.append(unit)
+        return keys_of(unit, seed, perturbation)
+
     monkeypatch.setattr(Writer, "trials", reading)
+    monkeypatch.setattr(Unit, "keys", keying)
     monkeypatch.setattr("hident.engine.expansion.fingerprint", hashing)
-    _run(lab, plan)
-    output_key(plan, plan.experiment.seed, 6)
-    stored(plan, Store(lab.folder / "s"), 6, plan.experiment.seed)
-    assert sorted(read) == sorted(key for unit in plan.units for key in unit.keys(7).values())
-    assert len(hashed) == len(plan.units)
+    outputs = Outputs(plan, lab.folder / "out")
+    outputs.state()
+    outputs.write(_run(lab, plan)[0], {})
+    stored(plan, Store(lab.folder / "s"))
+    assert sorted(read) == sorted(key for keys in plan.keys for key in keys.values())
+    assert len(hashed) == len(keyed) == len(plan.units)
 
 
 def test_perturbed_trials_are_a_last_bit_away_and_have_keys_of_their_own(lab: Lab) -> None:
     plan = _plan(lab, **_REAL)
     plain, _ = _run(lab, plan)
     before = _bytes(lab, plan)
-    first, told = _run(lab, plan, perturbation=1)
+    first, told = _run(lab, plan.changed(perturbation=1))
     assert (told.stored, told.done) == (0, 24)
-    second, _ = _run(lab, plan, perturbation=2)
+    second, _ = _run(lab, plan.changed(perturbation=2))
     values = [np.array([s.values for s in results.series]) for results in (plain, first, second)]
     for one, other in itertools.combinations(values, 2):
         assert (one != other).any()
         np.testing.assert_allclose(one, other, rtol=1e-9)
     assert _bytes(lab, plan) == before
-    again, told = _run(lab, plan, perturbation=1)
+    again, told = _run(lab, plan.changed(perturbation=1))
     assert told.done == 0
     assert again.frame().to_csv() == first.frame().to_csv()
     assert len({key for k in range(3) for unit in plan.units for key in unit.keys(7, k).values()}) == 12
     for unit in plan.units:
         assert unit.keys(7) == unit.keys(7, 0)
+
+
+def test_a_store_in_memory_holds_the_same_and_a_run_needs_none(lab: Lab) -> None:
+    plan, told, store = _plan(lab, **_REAL), Told(), MemoryStore()
+    results = run(plan, store=store, progress=told)
+    assert (told.stored, told.done) == (0, 24)
+    expected = _run(lab, plan)[0].frame().to_csv()
+    assert results.frame().to_csv() == run(plan).frame().to_csv() == expected
+    more = plan.changed(trials=8)
+    run(more, store=store, progress=told)
+    assert (told.stored, told.done) == (24, 24 + 8)
+    key = plan.keys[0]["mise"]
+    assert [trial.trial for trial in store.trials(key, 7)] == list(range(7))
+
+
+def test_another_seed_or_number_of_trials_is_another_plan(lab: Lab) -> None:
+    plan = _plan(lab)
+    other = plan.changed(trials=3, seed=0)
+    assert (plan.trials, plan.seed, other.trials, other.seed) == (6, 7, 3, 0)
+    assert plan.changed(trials=3).keys == plan.keys != other.keys
+    assert other.keys == load(lab.folder / "tiny.yaml", (), {"seed": 0}).keys
+    with pytest.raises(ConfigError, match=r"trials must be at least 1, seed and .* not 0, 7 and 0"):
+        plan.changed(trials=0)
+
+
+def test_the_outputs_have_the_key_of_the_paper_s_files_that_were_read(tmp_path: Path) -> None:
+    reasons = tmp_path / "experiments/someone2001/reasons.yaml"
+    rest = PUBLISHED.format(runs=100, statistic="mean")
+    numbers = "T,N=10,error,5.0,\nT,N=100,error,5.0,\nT,N=1000,error,5.0,\n"
+    results = made(tmp_path, {}, rest=rest, printed=numbers, reasons="reasons: [{reason: one}]\n")
+    plan, folder = results.plan, tmp_path / "out"
+    assert {verdict.reason for verdict in judge(results)} == {"one"}
+    reasons.write_text("reasons: [{reason: two}]\n")
+    outputs = Outputs(plan, folder)
+    outputs.write(results, {})
+    assert "one" in (folder / "verdicts.csv").read_text()
+    assert outputs.state() == "up to date"
+    assert Outputs(load(plan.path), folder).state() == "old"
 
 
 def test_an_error_that_is_not_the_store_s_keeps_its_own_name(lab: Lab) -> None:

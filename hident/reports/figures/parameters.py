@@ -89,7 +89,7 @@ class Gain(FigureSpec):
         x = np.arange(len(pairs))
         ours = ratios([a.value("std") for a, _ in pairs], [b.value("std") for _, b in pairs])
         # Independent or not, the ratio's error is at most that of independent spreads.
-        error = ours / np.sqrt(max(results.trials - 1, 1))
+        error = ours / np.sqrt(max(results.plan.trials - 1, 1))
         axes.errorbar(
             x,
             ours,

@@ -1,9 +1,8 @@
-"""What figures of one trial share: records and estimates, made again from their seeds."""
+"""What figures of one trial share; the trial itself is made by :mod:`hident.engine.replay`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -14,22 +13,13 @@ from hident.config.references import CaseLabels, EstimatorName
 from hident.config.spec import Count, Real, Spec
 from hident.config.suggest import one_of
 from hident.config.yaml12 import Location
-from hident.engine.experiment import Label, Plan, Unit
-from hident.engine.results import Results
-from hident.engine.trial import FAILURES, Data, Job, estimate, generate, reason
-from hident.records import Estimate, Record, Truth, needed
+from hident.engine.experiment import Plan, Unit
+from hident.records import Truth, needed
 from hident.reports.base import FigureSpec, Misfit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_DETAILS = {
-    "history": "history of an iteration",
-    "partition": "partition search",
-    "structure": "structure search",
-    "internal_variable": "internal variable",
-    "smoothed": "smoothed points",
-}
 NOTE = {"boxstyle": "square,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
 """The ground of words that stand on curves."""
 Offset = Annotated[Real | str, Field(union_mode="left_to_right")]
@@ -90,65 +80,6 @@ def offset_misfits(
 def offset_of(truth: Truth, offset: Offset) -> float:
     """The number that an offset stands for."""
     return truth.values[offset] if isinstance(offset, str) else offset
-
-
-@dataclass(frozen=True, eq=False)
-class Realised:
-    """One trial of one unit.
-
-    Where it failed, ``failure`` says why, ``found`` is None, and so is ``record`` if there is none.
-    """
-
-    unit: Unit
-    truth: Truth
-    record: Record | None
-    found: Estimate | None
-    failure: str = ""
-
-    def detail(self, name: str) -> Any:
-        """A detail of the estimate, such as its history.
-
-        Raises
-        ------
-        ValueError
-            If the estimate does not hold it.
-        """
-        assert self.found is not None
-        if name not in self.found.details:
-            raise ValueError(f"the estimate of '{self.unit.name}' holds no {_DETAILS[name]}")
-        return self.found.details[name]
-
-
-class OneTrial:
-    """One trial of all units: each record and each estimate is made once, when it is asked for."""
-
-    def __init__(self, results: Results, trial: int) -> None:
-        self._results, self._trial = results, trial
-        self._records: dict[int, Record] = {}
-        self._realised: dict[int, Realised] = {}
-
-    def of(self, estimator: str, labels: Mapping[str, Label]) -> Realised:
-        """The trial of an estimator at the given labels of axes."""
-        unit = next(self._results.select(estimator, labels=labels)).unit
-        if id(unit) not in self._realised:
-            self._realised[id(unit)] = self._realise(unit)
-        return self._realised[id(unit)]
-
-    def _realise(self, unit: Unit) -> Realised:
-        truth, record = unit.data.system.truth(), None
-        try:
-            with np.errstate(all="ignore"):
-                record = self._record(unit.data)
-                job = Job(unit.estimator, ())
-                found = estimate(unit.data, job, record, self._results.seed, self._trial)
-        except FAILURES as error:
-            return Realised(unit, truth, record, None, reason(error))
-        return Realised(unit, truth, record, found)
-
-    def _record(self, data: Data) -> Record:
-        if data.key not in self._records:
-            self._records[data.key] = generate(data, self._results.seed, self._trial)
-        return self._records[data.key]
 
 
 class OneTrialFigure(FigureSpec):

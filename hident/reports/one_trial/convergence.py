@@ -12,12 +12,13 @@ from pydantic import Field, model_validator
 from hident.arrays import Array
 from hident.config.references import Metric
 from hident.config.spec import Count, Flag, NonEmpty, component
+from hident.engine.replay import OneTrial, Realised
 from hident.engine.results import Results
 from hident.estimators.convergence import History
 from hident.ledger.verdicts import Verdict
 from hident.metrics.base import MetricSpec
 from hident.records import Estimate, needed
-from hident.reports.one_trial.base import OneTrial, OneTrialFigure, Realised, Shown, list_failures
+from hident.reports.one_trial.base import OneTrialFigure, Shown, list_failures
 from hident.reports.style import TRUTH, legend_above, looks, panel_grid, symbol
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ class Convergence(OneTrialFigure):
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         from matplotlib.ticker import MaxNLocator
 
-        trial = OneTrial(results, self.trial)
+        trial = OneTrial(results.plan, self.trial)
         names = (*self.of, *self.metrics)
         figure, grid = panel_grid(len(names), self.columns, 3.5 if len(names) > 1 else 4.6, 2.6)
         lines = looks(curve.text for curve in self.curves)

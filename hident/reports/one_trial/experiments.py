@@ -10,6 +10,7 @@ import numpy as np
 from hident.arrays import Array
 from hident.config.spec import NonEmpty, component
 from hident.engine.experiment import Plan
+from hident.engine.replay import OneTrial
 from hident.engine.results import Results
 from hident.engine.trial import generate
 from hident.errors import SimulationError
@@ -17,7 +18,7 @@ from hident.estimators.frequency.nonlinearity_identification import Nonlinearity
 from hident.ledger.verdicts import Verdict
 from hident.records import Record, needed
 from hident.reports.base import Misfit
-from hident.reports.one_trial.base import OneTrial, OneTrialFigure, Shown, list_failures, say_failed
+from hident.reports.one_trial.base import OneTrialFigure, Shown, list_failures, say_failed
 from hident.reports.style import DATA, LINES, TRUTH, subplots
 from hident.systems.continuous_wiener_hammerstein import respond
 
@@ -55,7 +56,7 @@ class Signals(OneTrialFigure):
         data = self.curve.unit(results.plan).data
         try:
             with np.errstate(all="ignore"):
-                record = generate(data, results.seed, self.trial)
+                record = generate(data, results.plan.seed, self.trial)
         except SimulationError as error:
             say_failed(above, "no record")
             say_failed(below, f"failed: {error}")
@@ -97,7 +98,7 @@ class LevelMeans(OneTrialFigure):
                 yield ("curves", i, "estimator"), said
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        trial = OneTrial(results, self.trial)
+        trial = OneTrial(results.plan, self.trial)
         figure, (above, below) = subplots(2, 1, sharex=True, figsize=(4.8, 4.4), height_ratios=(2, 1))
         failures = []
         for curve, line in zip(self.curves, LINES, strict=False):

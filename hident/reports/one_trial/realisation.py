@@ -10,11 +10,12 @@ import numpy as np
 from hident.config.references import CaseLabels, EstimatorName
 from hident.config.spec import Interval, NonEmpty, component
 from hident.engine.experiment import Plan
+from hident.engine.replay import OneTrial, Realised
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
 from hident.records import needed
 from hident.reports.base import Misfit
-from hident.reports.one_trial.base import OneTrial, OneTrialFigure, Realised, say_failed, true_curve
+from hident.reports.one_trial.base import OneTrialFigure, say_failed, true_curve
 from hident.reports.style import DATA, ESTIMATE, TRUTH, legend_above, subplots
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ class Realisation(OneTrialFigure):
             sharey=True,
             figsize=(min(2.5 * columns + 0.4, 10.5), 2.2 * rows + 0.5),
         )
-        trial = OneTrial(results, self.trial)
+        trial = OneTrial(results.plan, self.trial)
         for labels, row in zip(self.at, grid, strict=True):
             for name, axes in zip(self.estimators, row, strict=True):
                 self._panel(axes, trial.of(name, labels))

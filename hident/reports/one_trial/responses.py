@@ -11,6 +11,7 @@ from pydantic import Field
 from hident.arrays import Array
 from hident.config.spec import Count, Interval, NonEmpty, Of, Spec, component
 from hident.engine.experiment import Plan
+from hident.engine.replay import OneTrial
 from hident.engine.results import Results
 from hident.engine.trial import Data
 from hident.errors import TrialFailed
@@ -21,7 +22,6 @@ from hident.records import Response, needed
 from hident.reports.base import Misfit
 from hident.reports.one_trial.base import (
     Offset,
-    OneTrial,
     OneTrialFigure,
     Shown,
     list_failures,
@@ -87,7 +87,7 @@ class Validation(OneTrialFigure):
             yield ("excitation",), str(error)
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        trial = OneTrial(results, self.trial)
+        trial = OneTrial(results.plan, self.trial)
         lines = looks(curve.text for panel in self.panels for curve in panel.curves)
         count = len(self.panels)
         figure, grid = subplots(
@@ -189,7 +189,7 @@ class SettlingMap(OneTrialFigure):
             yield ("kind",), f"the system '{system.kind}' has no settling time that varies with its input"
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        trial = OneTrial(results, self.trial)
+        trial = OneTrial(results.plan, self.trial)
         lines = looks(curve.text for curve in self.curves)
         figure, (axes,) = panel_grid(1, 1, 4.8, 2.9)
         system = trial.of(self.curves[0].estimator, self.curves[0].at).unit.data.system

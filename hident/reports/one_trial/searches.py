@@ -11,10 +11,11 @@ from pydantic import Field
 
 from hident.arrays import Array
 from hident.config.spec import Count, NonEmpty, component
+from hident.engine.replay import OneTrial
 from hident.engine.results import Results
 from hident.estimators.moving_horizon.searches import PartitionSearch, StructureSearch
 from hident.ledger.verdicts import Verdict
-from hident.reports.one_trial.base import NOTE, OneTrial, OneTrialFigure, Shown, say_failed
+from hident.reports.one_trial.base import NOTE, OneTrialFigure, Shown, say_failed
 from hident.reports.style import LINES, legend_above, panel_grid
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ class Search(OneTrialFigure):
     """Panels in a row."""
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        trial = OneTrial(results, self.trial)
+        trial = OneTrial(results.plan, self.trial)
         figure, grid = panel_grid(len(self.panels), self.columns, 3.3, 2.7)
         for panel, axes in zip(self.panels, grid, strict=True):
             axes.set_title(panel.text)

@@ -12,15 +12,14 @@ from hident.arrays import Array
 from hident.config.spec import Count, Interval, NonEmpty, Spec, component
 from hident.config.yaml12 import Location
 from hident.engine.experiment import Plan
+from hident.engine.replay import OneTrial, Realised
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
 from hident.records import Estimate, needed
 from hident.reports.base import Misfit
 from hident.reports.one_trial.base import (
     Offset,
-    OneTrial,
     OneTrialFigure,
-    Realised,
     Shown,
     list_failures,
     offset_misfits,
@@ -125,7 +124,7 @@ class StaticFit(OneTrialFigure):
             yield from panel.misfits(plan, ("panels", i))
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        trial = OneTrial(results, self.trial)
+        trial = OneTrial(results.plan, self.trial)
         lines = looks(curve.text for panel in self.panels for curve in panel.curves)
         width = 3.6 if len(self.panels) > 1 else 4.8
         figure, grid = panel_grid(len(self.panels), self.columns, width, 2.9)

@@ -63,7 +63,7 @@ class AgainstTruth(TableSpec):
                 row.append(judged(printed.get(name)))
             rows.append((*row, *(self._ours(shown[column, name]) for column in self.estimators)))
         header = (self.row_header, "truth", *(["printed"] if printed else []), *self.estimators)
-        notes = ("Ours: mean ± standard deviation over the trials.", *_missing(shown, results.trials))
+        notes = ("Ours: mean ± standard deviation over the trials.", *_missing(shown, results.plan.trials))
         explained = legend(printed.values()) if printed else ()
         return Table(self.title, header, tuple(rows), (*notes, *explained))
 

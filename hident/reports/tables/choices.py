@@ -34,7 +34,7 @@ class Choices(TableSpec):
         total = sum(counts, Counter[Outcome]())
         # The most frequent first, failures last.
         columns = sorted(total, key=lambda one: (one is None, -total[one], one or ()))
-        shares = [[100.0 * count[one] / results.trials for one in columns] for count in counts]
+        shares = [[100.0 * count[one] / results.plan.trials for one in columns] for count in counts]
         axes = [axis.name for axis in results.plan.axes if any(axis.name in c.unit.labels for c in cases)]
         heads = [[str(case.unit.labels.get(axis, "")) for axis in axes] + [case.unit.name] for case in cases]
         header = (*axes, "estimator", *map(_heading, columns))
@@ -42,7 +42,7 @@ class Choices(TableSpec):
         data = pd.DataFrame(
             [(*head, *row) for head, row in zip(heads, shares, strict=True)], columns=list(header)
         )
-        return Table(self.title, header, tuple(rows), (f"Percent of {results.trials} trials.",), data)
+        return Table(self.title, header, tuple(rows), (f"Percent of {results.plan.trials} trials.",), data)
 
     def counts(self, results: Results, case: Series) -> Counter[Outcome]:
         """How many trials of the estimator and the case of a series have each outcome."""

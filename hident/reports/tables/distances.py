@@ -13,7 +13,7 @@ from hident.config.references import AxisName, CaseLabels
 from hident.config.spec import Count, component
 from hident.engine.experiment import Plan, PublishedCells
 from hident.engine.results import Results
-from hident.ledger.published import cells_astray, printed_beside, read_published
+from hident.ledger.published import cells_astray, printed_beside, published_of
 from hident.ledger.verdicts import Verdict
 from hident.reports.base import Misfit, Table, TableSpec
 
@@ -44,9 +44,7 @@ class _Distances(TableSpec):
 
     def distances(self, results: Results) -> dict[tuple[str, ...], float]:
         """The distance by metric, statistic, quantity and labels; '' for an axis that does not matter."""
-        paper = results.plan.paper
-        assert paper is not None
-        numbers = read_published(paper)
+        numbers = published_of(results.plan)
         ratios: dict[tuple[str, ...], list[float]] = {}
         every = ((cell, *pair) for cell in self.cells for pair in cell.pairs())
         for cell, quantity, metric in every:

@@ -130,7 +130,9 @@ class Distribution(TableSpec):
             if any(cell.verdict for cell in own.values()):
                 rows.append(("printed", *(_printed(own.get(heading)) for heading in self.columns)))
             if failures := max(int(cell.series.statistics["failed"]) for cell in own.values()):
-                failed.append(f"{row.label}: {failures} of {results.trials} trials failed and are left out.")
+                failed.append(
+                    f"{row.label}: {failures} of {results.plan.trials} trials failed and are left out."
+                )
         explained = (_OURS, _PERCENTILE, *legend(verdicts)) if verdicts else (_OURS,)
         header = (self.row_header, *self.columns)
         return Table(self.title, header, tuple(rows), (*explained, *failed), _data(results, cells))

@@ -99,8 +99,8 @@ class Efficiency(TableSpec):
             )
             for row in data.itertuples(index=False)
         )
-        error = np.sqrt(2.0 / max(results.trials - 1, 1))
-        note = f"Relative standard error of each entry: {error:.3f} ({results.trials} trials)."
+        error = np.sqrt(2.0 / max(results.plan.trials - 1, 1))
+        note = f"Relative standard error of each entry: {error:.3f} ({results.plan.trials} trials)."
         return Table(self.title, tuple(map(str, data.columns)), shown, (note,), data)
 
     def efficiencies(self, results: Results, estimator: str, case: Series) -> list[float]:

@@ -1,0 +1,111 @@
+"""One trial again: its record and the estimates from it, made from their seeds.
+
+Nothing of a record or an estimate is stored. Whoever wants to see one, a figure or a user, makes it again:
+
+    trial = OneTrial(load(Path("configs/chen_fig4.yaml")), 3)
+    trial.of("two stages", {"type": "II"}).found
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from hident.config.suggest import did_you_mean
+from hident.engine.experiment import Label, Plan, Unit
+from hident.engine.trial import FAILURES, Data, Job, estimate, generate, reason
+from hident.errors import ConfigError
+from hident.records import Estimate, Record, Truth
+
+T = TypeVar("T")
+_DETAILS = {
+    "history": "history of an iteration",
+    "partition": "partition search",
+    "structure": "structure search",
+    "internal_variable": "internal variable",
+    "smoothed": "smoothed points",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Realised:
+    """One trial of one unit.
+
+    Where it failed, ``failure`` says why, ``found`` is None, and so is ``record`` if there is none.
+    """
+
+    unit: Unit
+    truth: Truth
+    record: Record | None
+    found: Estimate | None
+    failure: str = ""
+
+    def detail(self, name: str) -> Any:
+        """A detail of the estimate, such as its history.
+
+        Raises
+        ------
+        ValueError
+            If the estimate does not hold it.
+        """
+        assert self.found is not None
+        if name not in self.found.details:
+            raise ValueError(f"the estimate of '{self.unit.name}' holds no {_DETAILS[name]}")
+        return self.found.details[name]
+
+
+class OneTrial:
+    """One trial of a plan: each record and each estimate is made once, when it is asked for.
+
+    What a run counts as a failed trial fails here with the same reason; any other error is raised.
+    """
+
+    def __init__(self, plan: Plan, trial: int) -> None:
+        self._plan, self._trial = plan, trial
+        self._records: dict[int, tuple[Record | None, str]] = {}
+        self._realised: dict[int, Realised] = {}
+
+    def of(self, estimator: str, labels: Mapping[str, Label]) -> Realised:
+        """The trial of an estimator at the given labels of axes; that of the first case which they leave.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such estimate.
+        """
+        named = (unit for unit in self._plan.units if unit.name == estimator and unit.is_at(labels))
+        if (unit := next(named, None)) is None:
+            near = did_you_mean(estimator, {unit.name for unit in self._plan.units} - {estimator})
+            at = ", ".join(f"{axis} {label}" for axis, label in labels.items())
+            raise ConfigError(f"there is no estimate of '{estimator}' at {at or 'any case'}{near}")
+        if id(unit) not in self._realised:
+            self._realised[id(unit)] = self._realise(unit)
+        return self._realised[id(unit)]
+
+    def record(self, data: Data) -> tuple[Record | None, str]:
+        """The record of a case, or None and why its simulation failed."""
+        if data.key not in self._records:
+            self._records[data.key] = _tried(
+                lambda: generate(data, self._plan.seed, self._trial, self._plan.perturbation)
+            )
+        return self._records[data.key]
+
+    def _realise(self, unit: Unit) -> Realised:
+        truth, (record, failure) = unit.data.system.truth(), self.record(unit.data)
+        if record is None:
+            return Realised(unit, truth, None, None, failure)
+        job = Job(unit.estimator, ())
+        found, failure = _tried(lambda: estimate(unit.data, job, record, self._plan.seed, self._trial))
+        return Realised(unit, truth, record, found, failure)
+
+
+def _tried(make: Callable[[], T]) -> tuple[T | None, str]:
+    """What is made, or None and why it failed."""
+    try:
+        with np.errstate(all="ignore"):
+            return make(), ""
+    except FAILURES as error:
+        return None, reason(error)
