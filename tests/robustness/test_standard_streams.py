@@ -44,9 +44,9 @@ _VERBS = {
     "list": 0,
     "list estimators kernel": 0,
     "validate tiny.yaml": 0,
-    "run tiny.yaml --jobs 1": 0,
+    "run tiny.yaml --jobs {jobs}": 0,
     "status tiny.yaml": 0,
-    "accept tiny": 0,
+    "accept tiny --jobs 1 --perturbations 1": 0,
     "compare": 0,
     "verify": 4,
     "schema": 0,
@@ -79,20 +79,21 @@ def test_a_run_whose_reader_goes_away_writes_everything(lab: Lab, unbuffered: st
 
 
 @pytest.mark.parametrize(
-    ("streams", "environment"),
+    ("streams", "jobs", "environment"),
     [
-        ("<&- >&- 2>&-", {}),
-        (">out.txt 2>err.txt", {"PYTHONIOENCODING": "ascii"}),
-        (">out.txt 2>err.txt", {"PYTHONIOENCODING": "cp1252:strict", "LC_ALL": "C"}),
+        ("<&- >&- 2>&-", 2, {}),
+        (">out.txt 2>err.txt", 1, {"PYTHONIOENCODING": "ascii"}),
+        (">out.txt 2>err.txt", 1, {"PYTHONIOENCODING": "cp1252:strict", "LC_ALL": "C"}),
     ],
 )
-def test_every_verb_works(lab: Lab, streams: str, environment: dict[str, str]) -> None:
+def test_every_verb_works(lab: Lab, streams: str, jobs: int, environment: dict[str, str]) -> None:
+    verbs = {verb.format(jobs=jobs): code for verb, code in _VERBS.items()}
     lab.configure(title="Étude ∂ → 𝄞")
     (lab.folder / "all.py").write_text(_ALL_VERBS)
-    (lab.folder / "verbs.txt").write_text("\n".join(_VERBS))
+    (lab.folder / "verbs.txt").write_text("\n".join(verbs))
     done = _sh(lab, f"{sys.executable} all.py {streams}", **environment)
     assert done.returncode == 0
-    assert (lab.folder / "codes.txt").read_text() == repr(_VERBS)
+    assert (lab.folder / "codes.txt").read_text() == repr(verbs)
     for name in ("out.txt", "err.txt"):
         if (lab.folder / name).exists():
             assert b"Traceback" not in (lab.folder / name).read_bytes()
