@@ -21,10 +21,10 @@ from hident.estimators.frequency.frequency_gain_identification import (
 from hident.estimators.frequency.nonlinearity_identification import (
     NonlinearityIdentification as NonlinearityIdentification,
 )
-from hident.estimators.moving_horizon.iterative_hammerstein import (
+from hident.estimators.moving_horizon.hammerstein.iterative_hammerstein import (
     IterativeHammerstein as IterativeHammerstein,
 )
-from hident.estimators.moving_horizon.iterative_wiener import IterativeWiener as IterativeWiener
+from hident.estimators.moving_horizon.wiener.iterative_wiener import IterativeWiener as IterativeWiener
 from hident.estimators.moving_horizon.linear_model import LinearModel as LinearModel
 from hident.estimators.moving_horizon.output_error_fit import OutputError as OutputError
 from hident.estimators.nonparametric.bases import Hermite as Hermite, Laguerre as Laguerre
@@ -36,8 +36,8 @@ from hident.estimators.nonparametric.kernel import Kernel as Kernel
 from hident.estimators.nonparametric.known_dynamics import KnownDynamics as KnownDynamics
 from hident.estimators.nonparametric.least_squares import LeastSquares as LeastSquares
 from hident.estimators.nonparametric.orthogonal import Orthogonal as Orthogonal
-from hident.estimators.voros_hammerstein import VorosHammerstein as VorosHammerstein
-from hident.estimators.voros_wiener import VorosWiener as VorosWiener
+from hident.estimators.voros.voros_hammerstein import VorosHammerstein as VorosHammerstein
+from hident.estimators.voros.voros_wiener import VorosWiener as VorosWiener
 from hident.linear_blocks import ContinuousTransferFunction as ContinuousTransferFunction
 from hident.linear_blocks import TransferFunction as TransferFunction
 from hident.measured import read as read

@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import ValidationError
 
-from hident import arithmetic, commands, plugins
+from hident import arithmetic, plugins
+from hident.commands.plans import file_of, load_plans
 from hident.config.load import Document, problems_of, read_leniently
 from hident.config.schema import json_schema
 from hident.config.spec import PLURALS, Component, Family, Of, canonical, components, plain
@@ -298,13 +299,13 @@ def validate(
     """
     _load_components()
     if isinstance(experiment, str | Path):
-        document = read_leniently(commands.file_of(Path(experiment)))
+        document = read_leniently(file_of(Path(experiment)))
     else:
         document = Document("experiment", plain(canonical(experiment)))
     for key, value in {**overrides, "trials": trials, "seed": seed}.items():
         if value is not None or key in overrides:
             document = document.patched(key, plain(canonical(value)), Place(0, f"{key}={value!r}"))
-    [plan] = commands.load_plans([document], (), {}, ())
+    [plan] = load_plans([document], (), {}, ())
     return plan
 
 

@@ -71,10 +71,11 @@ def _tried(name: str, action: Callable[[], object]) -> str:
 
 
 def name_beside(name: str, importer: str) -> str:
-    """The name in ``sys.modules`` of what the loaded module ``importer`` imports as ``name``."""
+    """The full name of what the module ``importer`` imports as ``name``, now or when it is called."""
     package = importer.partition(".")[0]
-    beside = f"{package}.{name}"
-    return beside if package.startswith(_PACKAGE) and beside in sys.modules else name
+    if package.startswith(_PACKAGE) and _is_beside(name.partition(".")[0], package):
+        return f"{package}.{name}"
+    return name
 
 
 def _load_file(path: Path) -> None:

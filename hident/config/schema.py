@@ -98,6 +98,6 @@ def _options(schema: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _or(schema: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
     """Either of two schemas; what describes the value stays around both."""
-    around = {key: schema[key] for key in ("title", "description", "default") if key in schema}
+    around = {key: item for key, item in schema.items() if key in ("title", "description", "default")}
     inner = {key: item for key, item in schema.items() if key not in around}
     return {**around, "anyOf": [*_options(inner), other]}

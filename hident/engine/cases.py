@@ -94,7 +94,7 @@ class Axis:
     def of(cls, name: str, written: list[Any] | dict[str, Any], document: Document) -> Axis:
         """The axis that a document holds under ``cases``."""
         labels, values = _labels(written), list(written.values() if isinstance(written, dict) else written)
-        keys = list(written) if isinstance(written, dict) else range(len(written))
+        keys: Iterable[str | int] = written if isinstance(written, dict) else range(len(written))
         patches: list[dict[str, Any]] = []
         variables: list[dict[str, Any]] = []
         for label, value in zip(labels, values, strict=True):
@@ -216,7 +216,7 @@ class _Variables:
                 for path, value in patch.items():
                     self._texts += [
                         (at, _root(path), text)
-                        for at, text in texts(value, ("cases", axis.name, label, path))
+                        for at, text in texts(value, ("cases", axis.name, str(label), path))
                     ]
 
     def uses(self, axis: Axis) -> frozenset[tuple[str, ...]]:
@@ -249,14 +249,17 @@ class _Variables:
         """Variables whose value is not clear, and values that cannot stand where their variable does."""
         known: dict[str, Axis] = {}
         for axis in self._axes:
-            at = ("cases", axis.name)
             for name in self._names(axis):
                 other = known.setdefault(name, axis)
                 if other is not axis:
-                    yield Problem(at, f"the axis '{other.name}' has a variable '{name}' too")
+                    yield Problem(
+                        ("cases", axis.name), f"the axis '{other.name}' has a variable '{name}' too"
+                    )
                 for label, own in zip(axis.labels, axis.variables, strict=True):
                     if name not in own:
-                        yield Problem((*at, label), f"must set '${name}', as other labels do")
+                        yield Problem(
+                            ("cases", axis.name, str(label)), f"must set '${name}', as other labels do"
+                        )
         for at, root, text in self._texts:
             for name in variables_in(text):
                 if name not in known:

@@ -91,7 +91,8 @@ class Expansion:
 
     def document(self, choice: Mapping[int, int]) -> Document:
         """The document with the chosen axes applied, each at its chosen label."""
-        document, values = self._document, {}
+        document = self._document
+        values: dict[str, Any] = {}
         for axis, index in sorted(choice.items()):
             document = self._axes[axis].apply(document, index)
             values |= self._axes[axis].variables[index]

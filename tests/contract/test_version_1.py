@@ -1,4 +1,7 @@
-"""The configurations mean what they meant before there were variables and repeated entries."""
+"""The configurations mean what they meant before there were variables and repeated entries.
+
+What changes the meaning of a configuration changes its first writing under tests/data/version_1 with it.
+"""
 
 from pathlib import Path
 

@@ -1,0 +1,114 @@
+"""The examples of docs/configuration.md are sound, and give what the page says."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from hident import plugins
+from hident.commands.plans import load_plans
+from hident.config import spec
+from hident.config.spec import components
+
+PAGE = (Path(__file__).parents[2] / "docs" / "configuration.md").read_text(encoding="utf-8")
+EXAMPLES = {
+    title: text
+    for text in re.findall(r"```yaml\n(.*?)```", PAGE, re.S)
+    for title in re.findall(r"^title: (.*)$", text, re.M)
+}
+PLUGIN = '''
+from hident.config.spec import component
+from hident.estimators.base import EstimatorSpec
+from hident.records import Estimate
+
+
+@component("estimator", "mean_of_output")
+class MeanOfOutput(EstimatorSpec):
+    """The mean of the output."""
+
+    def provides(self):
+        return frozenset({"value mean"})
+
+    def fit(self, record, rng):
+        return Estimate(values={"mean": float(record.y.mean())})
+'''
+
+
+@pytest.fixture
+def plan(tmp_path, monkeypatch):
+    plugins.load()
+    monkeypatch.setattr(spec, "_REGISTER", {**spec._REGISTER, "estimator": dict(components("estimator"))})
+
+    def plan(title):
+        (tmp_path / "mine.py").write_text(PLUGIN)
+        (tmp_path / "a.yaml").write_text(EXAMPLES[title], encoding="utf-8")
+        [plan] = load_plans([tmp_path / "a.yaml"], None, {}, ())
+        return plan
+
+    return plan
+
+
+@pytest.mark.parametrize("title", EXAMPLES)
+def test_an_example_is_sound(plan, title):
+    assert plan(title).units
+
+
+def test_axes(plan):
+    units = plan("Weighted and plain least squares against the colour of the noise").units
+    assert [unit.data.samples for unit in units[::6]] == [100, 200]
+    assert [unit.labels["pole"] for unit in units[:6:2]] == [0.1, 0.5, 0.9]
+    assert units[5].estimator.weight.a == (0.9,) == units[5].data.noise[0].a
+
+
+def test_labels(plan):
+    units = plan("Labels with values, and labels that set several").units
+    assert [
+        (u.labels["type"], u.labels["setting"], u.data.system.nonlinearity.kind, u.estimator.first.n)
+        for u in units
+    ] == [
+        ("I", "quick", "chen_type_1", 2),
+        ("I", "slow", "chen_type_1", 3),
+        ("II", "quick", "chen_type_2", 2),
+        ("II", "slow", "chen_type_2", 3),
+    ]
+
+
+def test_skip(plan):
+    units = plan("No wide kernel for short records").units
+    assert [(unit.name, *unit.labels.values()) for unit in units] == [
+        ("kernel", 100, 0.1),
+        ("series", 100),
+        ("kernel", 1000, 0.1),
+        ("series", 1000),
+        ("kernel", 10000, 0.1),
+        ("kernel", 10000, 1),
+    ]
+
+
+def test_repeated_entries(plan):
+    experiment = plan("Two orders, two values, three tables").experiment
+    assert [column.header for column in experiment.tables["columns"].columns] == [
+        "order 1, mean",
+        "order 1, std",
+        "order 2, mean",
+        "order 2, std",
+    ]
+    assert [(c.metric, c.header) for c in experiment.tables["together"].columns] == [
+        ("value a_1", "pole by order 1"),
+        ("value c", "gain by order 2"),
+    ]
+    assert list(experiment.tables)[2:] == ["rate_of_a_1", "rate_of_c"]
+    panels = experiment.figures["scatter"].panels
+    assert [(panel.title, panel.x.label) for panel in panels] == [
+        (r"$\sigma$ = 0.1", "$a_1$"),
+        (r"$\sigma$ = 0.2", "$a_1$"),
+    ]
+
+
+def test_every_value(plan):
+    experiment = plan("All coefficients").experiment
+    assert experiment.metrics["error"].of == experiment.tables["errors"].of == ("a_1", "a_2", "b_1", "b_2")
+
+
+def test_plugins(plan):
+    assert plan("A method of my own").units[0].metric_labels == ("mean mean",)
