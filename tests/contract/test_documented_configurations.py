@@ -12,7 +12,7 @@ from hident.config.spec import components
 
 PAGE = (Path(__file__).parents[2] / "docs" / "configuration.md").read_text(encoding="utf-8")
 EXAMPLES = {
-    re.search(r"^title: (.*)$", text, re.M)[1]: text for text in re.findall(r"```yaml\n(.*?)```", PAGE, re.S)
+    re.findall(r"^title: (.*)$", text, re.M)[0]: text for text in re.findall(r"```yaml\n(.*?)```", PAGE, re.S)
 }
 PLUGIN = '''
 from hident.config.spec import component
