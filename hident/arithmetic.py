@@ -11,7 +11,8 @@ from __future__ import annotations
 import os
 import platform
 import sys
-from collections.abc import Mapping, Set
+from collections.abc import Iterator, Mapping, Set
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ _LOOPS = (
     ((2, 3), [*_AVX512, "AVX512_SPR"]),
     ((0, 0), _AVX512),
 )
+_TOO_LATE = "numpy was loaded before hident"
 _ABOVE_AVX2 = {name for _, names in _LOOPS for name in names}
 
 
@@ -112,8 +114,7 @@ def _prepare() -> str:
     if os.environ.get(VARIABLE) == "native":
         return ""
     if "numpy" in sys.modules:
-        # Workers would differ from this process.
-        return "numpy was loaded before hident"
+        return _TOO_LATE
     processor = features()
     if reason := hindrance(platform.machine(), processor):
         return reason
@@ -132,6 +133,24 @@ def _prepare() -> str:
 
 
 _REASON = _prepare()
+
+
+@contextmanager
+def handed_on() -> Iterator[None]:
+    """Let the processes that are started here load the kernels that this one has loaded.
+
+    Where numpy came first, hident changes nothing here, nor may it there.
+    """
+    before = os.environ.get(VARIABLE)
+    if _REASON == _TOO_LATE:
+        os.environ[VARIABLE] = "native"
+    try:
+        yield
+    finally:
+        if before is not None:
+            os.environ[VARIABLE] = before
+        elif _REASON == _TOO_LATE:
+            del os.environ[VARIABLE]
 
 
 def in_use() -> dict[str, Any]:

@@ -165,15 +165,15 @@ def list_(
     plugin: Plugins = None,
 ) -> None:
     """List the components that a configuration can use."""
-    from hident import commands
+    from hident.commands.listing import print_component, print_config, print_listing
 
     families = [what.value] if what else [listed.value for listed in Listed]
     if kind is None:
-        commands.print_listing(families, plugin or ())
+        print_listing(families, plugin or ())
     elif what is Listed.configs:
-        commands.print_config(Path(kind), plugin or ())
+        print_config(Path(kind), plugin or ())
     else:
-        commands.print_component(families[0], kind, plugin or ())
+        print_component(families[0], kind, plugin or ())
 
 
 @app.command()
@@ -188,10 +188,10 @@ def validate(
 
     All errors of all files are shown at once.
     """
-    from hident import commands
+    from hident.commands.plans import described, load_plans
 
-    for plan in commands.load_plans(configs, assignments, _options(trials, seed), plugin or ()):
-        print(commands.described(plan))
+    for plan in load_plans(configs, assignments, _options(trials, seed), plugin or ()):
+        print(described(plan))
 
 
 @app.command()
@@ -212,11 +212,12 @@ def run(
 
     Only trials that are not stored yet are computed.
     """
-    from hident import commands
+    from hident.commands.plans import load_plans
+    from hident.commands.running import Place, run_plans
 
-    plans = commands.load_plans(configs, assignments, _options(trials, seed), plugin or ())
-    place = commands.Place(out, store, wait)
-    raise typer.Exit(commands.run_plans(plans, place, jobs, plugin or (), keep_going=keep_going, quiet=quiet))
+    plans = load_plans(configs, assignments, _options(trials, seed), plugin or ())
+    place = Place(out, store, wait)
+    raise typer.Exit(run_plans(plans, place, jobs, plugin or (), keep_going=keep_going, quiet=quiet))
 
 
 @app.command()
@@ -232,11 +233,12 @@ def status(
     plugin: Plugins = None,
 ) -> None:
     """Show how many trials are stored, and the state of outputs."""
-    from hident import commands
+    from hident.commands.plans import all_configs, load_plans
+    from hident.commands.showing import print_status
 
-    chosen = configs or commands.all_configs()
-    plans = commands.load_plans(chosen, assignments, _options(trials, seed), plugin or ())
-    commands.print_status(plans, commands.Place(out, store))
+    chosen = configs or all_configs()
+    plans = load_plans(chosen, assignments, _options(trials, seed), plugin or ())
+    print_status(plans, out, store)
 
 
 @app.command()
@@ -256,9 +258,9 @@ def compare(
     Between equal arithmetics no trial may differ; between others as many as the accepted results make likely.
     A missing or extra file, row or column is a difference.
     """
-    from hident import commands
+    from hident.commands.showing import print_comparison
 
-    code = commands.print_comparison(ours, reference, rtol, complete=complete, common=partial)
+    code = print_comparison(ours, reference, rtol, complete=complete, common=partial)
     raise typer.Exit(code)
 
 
@@ -283,13 +285,14 @@ def accept(
 
     Measures how many of the trials a last bit moves, for compare. Nothing else changes results/.
     """
-    from hident import commands
+    from hident.commands.plans import load_plans
+    from hident.commands.running import Place, accept_plans, check_finished
 
-    commands.check_finished(configs, out)
-    plans = commands.load_plans(map(Path, configs), assignments, _options(trials, seed), plugin or ())
-    code = commands.accept_plans(
+    check_finished(configs, out)
+    plans = load_plans(map(Path, configs), assignments, _options(trials, seed), plugin or ())
+    code = accept_plans(
         plans,
-        commands.Place(out, store, wait),
+        Place(out, store, wait),
         results,
         jobs,
         plugin or (),
@@ -310,19 +313,19 @@ def verify(
     ] = False,
 ) -> None:
     """Check that each number that differs has its reason."""
-    from hident import commands
+    from hident.commands.showing import print_verification
 
     if folder is None:
         folder = _OUT if _OUT.is_dir() else _RESULTS
-    raise typer.Exit(commands.print_verification(folder, experiments, complete=complete))
+    raise typer.Exit(print_verification(folder, experiments, complete=complete))
 
 
 @app.command()
 def schema(plugin: Plugins = None) -> None:
     """Print the JSON Schema of configurations, for editors."""
-    from hident import commands
+    from hident.commands.listing import schema
 
-    print(commands.schema(plugin or (), unicode=sys.stdout.encoding.lower().startswith("utf")))
+    print(schema(plugin or (), unicode=sys.stdout.encoding.lower().startswith("utf")))
 
 
 @app.command()
@@ -339,15 +342,16 @@ def export(
 
     One row for each trial and metric.
     """
-    from hident import commands
+    from hident.commands.plans import load_plans
+    from hident.commands.showing import export
 
-    plan = commands.load_plans([config], assignments, _options(trials, seed), plugin or ())[0]
-    print(commands.export(plan, store, file))
+    plan = load_plans([config], assignments, _options(trials, seed), plugin or ())[0]
+    print(export(plan, store, file))
 
 
 @app.command()
 def doctor(store: StoreFolder = _STORE, plugin: Plugins = None) -> None:
     """Show what a report of a fault needs, and what is unsound."""
-    from hident import commands
+    from hident.commands.showing import print_diagnosis
 
-    raise typer.Exit(commands.print_diagnosis(store, plugin or ()))
+    raise typer.Exit(print_diagnosis(store, plugin or ()))

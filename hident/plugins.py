@@ -26,7 +26,7 @@ from hident.errors import ConfigError
 
 GROUP = "hident.plugins"
 _PACKAGE = "hident_plugin_"
-_ROOMS = ("signals", "systems", "estimators", "metrics", "reports")
+ROOMS = ("signals", "systems", "estimators", "metrics", "reports")
 
 
 def load(files: Iterable[Path] = ()) -> None:
@@ -37,8 +37,7 @@ def load(files: Iterable[Path] = ()) -> None:
     ConfigError
         If plugins cannot be imported; the message names each and its reason.
     """
-    for module in built_in():
-        importlib.import_module(module)
+    load_built_in()
     problems = [
         *(_tried(f"plugin '{e.name}' ({e.value})", e.load) for e in entry_points(group=GROUP)),
         *(_tried(f"plugin {path}", partial(_load_file, path)) for path in files),
@@ -47,9 +46,15 @@ def load(files: Iterable[Path] = ()) -> None:
         raise ConfigError("\n".join(filter(None, problems)))
 
 
+def load_built_in() -> None:
+    """Import every built-in component, so that each can be named by its kind."""
+    for module in built_in():
+        importlib.import_module(module)
+
+
 def built_in() -> Iterator[str]:
     """The names of the modules that hold the built-in components."""
-    for room in _ROOMS:
+    for room in ROOMS:
         package = importlib.import_module(f"hident.{room}")
         yield from (module.name for module in pkgutil.walk_packages(package.__path__, f"hident.{room}."))
 
@@ -66,10 +71,11 @@ def _tried(name: str, action: Callable[[], object]) -> str:
 
 
 def name_beside(name: str, importer: str) -> str:
-    """The name in ``sys.modules`` of what the loaded module ``importer`` imports as ``name``."""
+    """The full name of what the module ``importer`` imports as ``name``, now or when it is called."""
     package = importer.partition(".")[0]
-    beside = f"{package}.{name}"
-    return beside if package.startswith(_PACKAGE) and beside in sys.modules else name
+    if package.startswith(_PACKAGE) and _is_beside(name.partition(".")[0], package):
+        return f"{package}.{name}"
+    return name
 
 
 def _load_file(path: Path) -> None:

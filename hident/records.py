@@ -115,7 +115,19 @@ class Record:
     """Input and output, float64 of shape (N,), at sampling interval ``dt`` (None: discrete time).
 
     ``parts`` are the experiments by name, one after the other, where several were made, where one has a
-    sampling interval of its own, or where it matters what the input is between its samples.
+    sampling interval of its own, or where it matters what the input is between its samples. ``truth`` is
+    there if the record was simulated.
+
+    Raises
+    ------
+    ValueError
+        If u and y are not one-dimensional and of one length.
+
+    Examples
+    --------
+    >>> record = Record([0, 1, 2], [0.1, 0.9, 2.2], dt=0.5)
+    >>> len(record), record.y
+    (3, array([0.1, 0.9, 2.2]))
     """
 
     u: Array
@@ -178,7 +190,15 @@ class Record:
 class Estimate:
     """What an estimator returns; a part that it does not estimate is None or empty.
 
+    ``nonlinearity`` takes and gives arrays of one shape; ``linear`` and ``continuous`` are the linear block
+    in discrete and in continuous time, ``response`` the whole model; ``values`` are parameters by name.
     ``details`` holds what only a figure of one trial shows, such as a search or the history of an iteration.
+
+    Examples
+    --------
+    >>> estimate = Estimate(linear=TransferFunction(a=(0.5,)), values={"a_1": 0.5})
+    >>> sorted(estimate.provides())
+    ['linear', 'value a_1']
     """
 
     nonlinearity: Characteristic | None = None

@@ -89,7 +89,8 @@ def _prepare() -> None:
     import scipy.signal
     import scipy.stats  # noqa: F401
 
-    import hident.commands
+    import hident.commands.listing
+    import hident.commands.running
     import hident.progress  # noqa: F401
     from hident import plugins
     from hident.engine.experiment import load

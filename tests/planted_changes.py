@@ -94,15 +94,22 @@ PLANTS = (
     Plant("chen_fig5", "systems.nonlinearity:_wigren", "0.9 *", "0.9009 *"),
     Plant("chen_fig4", "systems.nonlinearity:_soft_dead_zone", "0.7 *", "0.7007 *"),
     Plant("chen_fig5", "signals.noise:_Additive._std", "return self.nsr *", "return 1.001 * self.nsr *"),
-    Plant("chen_fig5", "systems.continuous:ContinuousTransferFunction._held", "(dt /", "(1.001 * dt /"),
+    Plant("chen_fig5", "linear_blocks:ContinuousTransferFunction._held", "(dt /", "(1.001 * dt /"),
     Plant("chen_fig5", "signals.excitation:Multistep._levels", "levels = self", "levels = 1.001 * self"),
-    Plant("chen_fig5", f"{_HORIZONS}.time_weighted:_weight_derivative", "0.0, -1.0]", "0.0, -1.001]"),
-    Plant("chen_fig5", f"{_HORIZONS}.hammerstein_iteration:iterate", "z - np.ein", "z - 1.001 * np.ein"),
-    Plant("chen_fig5", "estimators.voros_hammerstein:iterate", "+ rule.relax", "+ 1.001 * rule.relax"),
-    Plant("chen_coverage", f"{_HORIZONS}.sandwich:standard_errors", "derivative *", "1.001 * derivative *"),
+    Plant(
+        "chen_fig5", f"{_HORIZONS}.transform.time_weighted:_weight_derivative", "0.0, -1.0]", "0.0, -1.001]"
+    ),
+    Plant("chen_fig5", f"{_HORIZONS}.hammerstein.iteration:iterate", "z - np.ein", "z - 1.001 * np.ein"),
+    Plant("chen_fig5", "estimators.voros.voros_hammerstein:iterate", "+ rule.relax", "+ 1.001 * rule.relax"),
+    Plant(
+        "chen_coverage",
+        f"{_HORIZONS}.transform.sandwich:standard_errors",
+        "derivative *",
+        "1.001 * derivative *",
+    ),
     Plant(
         "chen_vif",
-        f"{_HORIZONS}.iterative_hammerstein:IterativeHammerstein._second",
+        f"{_HORIZONS}.hammerstein.iterative_hammerstein:IterativeHammerstein._second",
         ", _SHARE,",
         ", 1.001 * _SHARE,",
     ),
@@ -110,18 +117,18 @@ PLANTS = (
     # Chen, Wiener: the weight of (29), slopes, the process of the pH, Voros
     Plant(
         "chen_fig8",
-        f"{_HORIZONS}.wiener_iteration:FourSegments.updated",
+        f"{_HORIZONS}.wiener.iteration:FourSegments.updated",
         "weight * forward",
         "1.001 * weight * forward",
     ),
-    Plant("chen_fig8", f"{_HORIZONS}.four_segment:forward", "/ e[2]", "/ (1.001 * e[2])"),
+    Plant("chen_fig8", f"{_HORIZONS}.wiener.four_segment:forward", "/ e[2]", "/ (1.001 * e[2])"),
     Plant("chen_example3", "systems.processes:PhNeutralisation._balance", "2.0 * sec", "2.002 * sec"),
     Plant("chen_example3", "systems.processes:PhNeutralisation._advance", "valve *", "1.001 * valve *"),
     # Brouri: system, inputs, averages, harmonic map, levels, phases, variances
     Plant("brouri_gains", "systems.nonlinearity:Exponential.__call__", "self.rate *", "1.001 * self.rate *"),
     Plant(
         "brouri_gains",
-        "systems.continuous:ContinuousTransferFunction.frequency_response",
+        "linear_blocks:ContinuousTransferFunction.frequency_response",
         "s = 1j *",
         "s = 1.001j *",
     ),

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin
 
+from hident.config.describe import annotation_of
 from hident.config.spec import Spec
 from hident.config.yaml12 import Location
 
@@ -126,6 +127,4 @@ def referring(spec: Spec, place: Location = ()) -> Iterator[Referring]:
                 yield from found(parts[1], item, (*at, key))
 
     for name, field in type(spec).model_fields.items():
-        annotation: Any = field.annotation
-        annotation = Annotated[annotation, *field.metadata] if field.metadata else annotation
-        yield from found(annotation, getattr(spec, name), (*place, name))
+        yield from found(annotation_of(field), getattr(spec, name), (*place, name))

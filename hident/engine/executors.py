@@ -22,7 +22,8 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hident import plugins
+from hident import arithmetic, plugins
+from hident.engine.fingerprint import libraries
 from hident.errors import ConfigError
 
 T = TypeVar("T")
@@ -55,6 +56,8 @@ class PoolExecutor(ProcessPoolExecutor):
             context.set_forkserver_preload(["hident.engine.trial", *plugins.built_in(), "scipy.signal"])
         super().__init__(workers, mp_context=context, initializer=_start_worker)
         self._plugin_files = plugin_files
+        # That of the keys.
+        self._arithmetic = libraries()["arithmetic"]
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         # Pickled here and unpickled within the call, an error in either is an exception of this call,
@@ -66,10 +69,10 @@ class PoolExecutor(ProcessPoolExecutor):
                 f"a component cannot be sent to worker processes ({error}): define its class at the top "
                 "level of its module, or run with --jobs 1"
             ) from None
-        with _interrupts_blocked(), _short_socket_names():
+        with _interrupts_blocked(), _short_socket_names(), arithmetic.handed_on():
             if sys.platform != "win32":
                 forkserver.ensure_running()
-            return super().submit(_call, self._plugin_files, call)
+            return super().submit(_call, self._plugin_files, self._arithmetic, call)
 
 
 def make_executor(workers: int, plugin_files: Iterable[Path] = ()) -> Executor:
@@ -144,13 +147,19 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _call(plugin_files: tuple[Path, ...], call: bytes) -> Any:
-    _prepare(plugin_files)
+def _call(plugin_files: tuple[Path, ...], of_parent: str, call: bytes) -> Any:
+    _prepare(plugin_files, of_parent)
     fn, args, kwargs = pickle.loads(call)
     return fn(*args, **kwargs)
 
 
 @cache
-def _prepare(plugin_files: tuple[Path, ...]) -> None:
+def _prepare(plugin_files: tuple[Path, ...], of_parent: str) -> None:
     plugins.load(plugin_files)
     pin_blas()
+    if (own := arithmetic.identity()) != of_parent:
+        raise ConfigError(
+            "worker processes compute with another arithmetic than this process, so that last digits would "
+            f"differ within one result: '{own}' there, '{of_parent}' here. Import hident before numpy, or "
+            "run with --jobs 1"
+        )

@@ -223,27 +223,34 @@ def not_given(needs: frozenset[str], given: frozenset[str]) -> list[str]:
     return sorted(need for need in needs if given.isdisjoint(need.split(" or ")))
 
 
-def _mismatches(unit: Unit) -> Iterator[Problem]:
-    """What does not fit together in a unit, though each part is sound."""
-    data, data_fit = unit.data, True
+def unfit(data: Data) -> Iterator[Problem]:
+    """What does not fit together in the data of a case, though each part is sound."""
+    fits = True
     try:
         data.excitation.check(data.samples, data.dt or 1.0)
     except (ValueError, ArithmeticError) as error:
         yield Problem(("excitation",), str(error))
-        data_fit = False
+        fits = False
     try:
         data.system.check(data.dt)
     except ValueError as error:
         yield Problem(("system",), str(error))
-        data_fit = False
-    if data_fit:
-        for stretch in data.excitation.stretches(data.samples, data.dt or 1.0):
-            if (level := stretch.excitation.before()) is not None:
-                try:
-                    data.system.check_before(level)
-                except ValueError as error:
-                    yield Problem(("excitation",), str(error))
-                    data_fit = False
+        fits = False
+    if not fits:
+        return
+    for stretch in data.excitation.stretches(data.samples, data.dt or 1.0):
+        if (level := stretch.excitation.before()) is not None:
+            try:
+                data.system.check_before(level)
+            except ValueError as error:
+                yield Problem(("excitation",), str(error))
+
+
+def _mismatches(unit: Unit) -> Iterator[Problem]:
+    """What does not fit together in a unit, though each part is sound."""
+    data = unit.data
+    problems = list(unfit(data))
+    yield from problems
     try:
         unit.estimator.check(data.samples, data.dt)
     except ValueError as error:
@@ -255,15 +262,15 @@ def _mismatches(unit: Unit) -> Iterator[Problem]:
         )
         return
     true, estimated = data.system.provides(), unit.estimator.provides()
-    for missing in not_given(unit.estimator.needs_of_truth(), true):
+    for need in not_given(unit.estimator.needs_of_truth(), true):
         yield Problem(
             ("estimators", unit.name),
-            f"the estimator '{unit.estimator.kind}' needs the {missing} of the system, which "
+            f"the estimator '{unit.estimator.kind}' needs the {need} of the system, which "
             f"'{data.system.kind}' does not have (it has: {one_of(sorted(true))})",
         )
     for name, metric in unit.metrics.items():
         messages = list(_unmet(unit, metric, true, estimated))
-        if data_fit and not messages:
+        if not problems and not messages:
             messages = list(_unsound(unit, metric))
         yield from (Problem(("metrics", name), message) for message in messages)
 
@@ -271,14 +278,14 @@ def _mismatches(unit: Unit) -> Iterator[Problem]:
 def _unmet(unit: Unit, metric: MetricSpec, true: frozenset[str], estimated: frozenset[str]) -> Iterator[str]:
     """What a metric needs and does not get."""
     unknown = not_given(metric.needs_of_truth(), true)
-    for missing in unknown:
+    for need in unknown:
         yield (
-            f"the metric '{metric.kind}' needs the {missing} of the system, which "
+            f"the metric '{metric.kind}' needs the {need} of the system, which "
             f"'{unit.data.system.kind}' does not have (it has: {one_of(sorted(true))})"
         )
-    for missing in sorted({*not_given(metric.needs_of_estimate(), estimated)} - {*unknown}):
+    for need in sorted({*not_given(metric.needs_of_estimate(), estimated)} - {*unknown}):
         yield (
-            f"the metric '{metric.kind}' needs the {missing} of the estimate, which estimator "
+            f"the metric '{metric.kind}' needs the {need} of the estimate, which estimator "
             f"'{unit.name}' ({unit.estimator.kind}) does not give (it gives: "
             f"{one_of(sorted(estimated))}); 'estimators:' under the metric limits it to some"
         )

@@ -29,7 +29,7 @@ from hident.config.load import Document, Problem, override, problems_of, read_le
 from hident.config.references import CaseLabels, EstimatorName, Metric, Template, referring
 from hident.config.repeated import repeated
 from hident.config.spec import Component, Count, Of, Spec
-from hident.config.suggest import did_you_mean, one_of
+from hident.config.suggest import did_you_mean, there_is_no
 from hident.config.yaml12 import Complaint, Place, error_of
 from hident.engine.cases import CHANGEABLE, DATA, Axis, Cases, Label, idle_assignments, skips, sound_axes
 from hident.engine.every_value import with_every_value
@@ -267,7 +267,9 @@ class Plan:
 
 
 def load(
-    path: Path, assignments: Sequence[str] = (), options: Mapping[str, int | None] = MappingProxyType({})
+    source: Path | Document,
+    assignments: Sequence[str] = (),
+    options: Mapping[str, int | None] = MappingProxyType({}),
 ) -> Plan:
     """Read a configuration, apply ``--set`` assignments and options such as trials, expand its cases.
 
@@ -276,7 +278,8 @@ def load(
     ConfigError
         With all that is wrong with the file, one line for each problem.
     """
-    document = override(read_leniently(path), assignments)
+    document = source if isinstance(source, Document) else read_leniently(source)
+    path, document = Path(document.name), override(document, assignments)
     for key, value in options.items():
         if value is not None:
             document = document.patched(key, value, Place(0, f"--{key} {value}"))
@@ -374,8 +377,4 @@ def _unknown_names(experiment: Experiment, axes: Sequence[Axis]) -> Iterator[Pro
         # Of an axis that there is not, no label is missing.
         there = known.get(what, [name])
         if name not in there:
-            yield Problem(
-                place,
-                f"there is no {what} '{name}'{did_you_mean(name, there)} "
-                f"({f'there are: {one_of(there)}' if there else 'there is none'})",
-            )
+            yield Problem(place, there_is_no(what, name, there))

@@ -7,9 +7,11 @@ import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Set
 from functools import cache
+from importlib.machinery import PathFinder
 from importlib.metadata import version
 from importlib.util import resolve_name
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from hident import arithmetic, plugins
@@ -45,8 +47,13 @@ def fingerprint(specs: Iterable[Spec]) -> str:
     return _of_modules(frozenset(modules), shown=False)
 
 
+def without_source(specs: Iterable[Spec]) -> Iterator[Spec]:
+    """Those of the specs, and of all inside them, whose class has no file: a hash cannot know its code."""
+    return (inner for spec in specs for inner in _within(spec) if _path(type(inner).__module__) is None)
+
+
 def code(modules: Iterable[str]) -> str:
-    """Hash of the code of loaded modules and of what they import of this package or their own."""
+    """Hash of the code of loaded modules and of what they import, ever, of this package or their own."""
     return _of_modules(frozenset(modules), shown=True)
 
 
@@ -72,18 +79,26 @@ def _of_module(module: str, *, shown: bool) -> tuple[str, tuple[str, ...]]:
     path = _path(module)
     if path is None or (not shown and module.startswith(_SHOWS)):
         return "", ()
-    tree = _code(path.read_bytes())
+    source, loaded = path.read_bytes(), sys.modules.get(module)
+    try:
+        tree = _code(source)
+    except (SyntaxError, ValueError):  # Only a module that is not loaded yet can be broken.
+        return digest(source.decode("latin-1")), ()
     statements = [single for statement in tree.body for single in _single(statement)]
-    kept = statements if shown else _computing(statements, module)
+    kept = statements if shown or loaded is None else _computing(statements, loaded)
     if not shown and len(kept) == len(statements):
         return _of_module(module, shown=True)
-    package = sys.modules[module].__package__ or ""
+    is_package = _file_and_folders(module)[1] is not None
+    package = getattr(loaded, "__package__", module if is_package else module.rpartition(".")[0]) or ""
     imports = set()
     for node in ast.walk(tree if shown else ast.Module(kept, [])):
         if isinstance(node, ast.Import):
             imports |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            name = resolve_name("." * node.level + (node.module or ""), package)
+            try:
+                name = resolve_name("." * node.level + (node.module or ""), package)
+            except ImportError:
+                continue
             imports |= {name, *(f"{name}.{alias.name}" for alias in node.names)}
     return digest([ast.dump(statement) for statement in kept]), tuple(sorted(imports - _WORDS))
 
@@ -97,12 +112,12 @@ def _code(source: bytes) -> ast.Module:
     return tree
 
 
-def _computing(statements: list[ast.stmt], module: str) -> list[ast.stmt]:
+def _computing(statements: list[ast.stmt], loaded: ModuleType) -> list[ast.stmt]:
     """Top-level statements without tables and figures, and without what only these mention.
 
     A name that is imported and not mentioned counts as one that they mention, as it may have been theirs.
     """
-    loaded, mentions = sys.modules[module], {s: _mentioned(s) for s in statements}
+    mentions = {s: _mentioned(s) for s in statements}
     left_out: list[ast.stmt] = [
         s for s in statements if isinstance(s, ast.ClassDef) and _shows(getattr(loaded, s.name, None))
     ]
@@ -117,7 +132,7 @@ def _computing(statements: list[ast.stmt], module: str) -> list[ast.stmt]:
             and (isinstance(statement, ast.ImportFrom) or names & theirs)
             and all(counts[name] == (name in mentions[statement]) for name in names)
         }
-        elsewhere = _mentioned_beside(module) if idle else set()
+        elsewhere = _mentioned_beside(loaded.__name__) if idle else set()
         idle_everywhere = [statement for statement, names in idle.items() if names.isdisjoint(elsewhere)]
         if not idle_everywhere:
             return kept
@@ -207,16 +222,30 @@ def _strip_docstring(node: ast.AST) -> None:
 
 
 def _folders(package: str) -> list[str]:
-    """The folder of a loaded package, or that of a module that is none."""
-    module = sys.modules.get(package)
+    """The folder of a package, or that of a module that is none."""
     path = _path(package)
-    return list(getattr(module, "__path__", [])) or ([str(path.parent)] if path else [])
+    return list(_file_and_folders(package)[1] or ([str(path.parent)] if path else []))
 
 
 def _path(module: str) -> Path | None:
-    """The source file of a loaded module, if it has one."""
-    file = getattr(sys.modules.get(module), "__file__", None)
+    """The source file of a module, if it has one."""
+    file = _file_and_folders(module)[0]
     return Path(file).resolve() if file is not None and file.endswith(".py") else None
+
+
+def _file_and_folders(module: str) -> tuple[str | None, Iterable[str] | None]:
+    """The file of a module, and where a package's own modules stand; it need not be loaded, and is not here.
+
+    What a function imports is loaded when it is called, after the keys are made.
+    """
+    if (loaded := sys.modules.get(module)) is not None:
+        return getattr(loaded, "__file__", None), getattr(loaded, "__path__", None)
+    parent = module.rpartition(".")[0]
+    folders = _file_and_folders(parent)[1] if parent else None
+    if parent and folders is None:
+        return None, None
+    spec = PathFinder.find_spec(module, None if folders is None else list(folders))
+    return (spec.origin, spec.submodule_search_locations) if spec else (None, None)
 
 
 def _within(value: Any) -> Iterator[Spec]:

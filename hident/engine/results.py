@@ -124,7 +124,11 @@ def _in_common(texts: Sequence[str]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """All trials of a plan: complete, or it would not exist."""
+    """All trials of a plan: complete, or it would not exist.
+
+    ``series`` holds one :class:`Series` for each label of a metric of each unit, ``plan`` what was run.
+    :meth:`frame` gives the statistics, :meth:`trials_frame` every trial's value.
+    """
 
     plan: Plan
     series: tuple[Series, ...]
@@ -160,3 +164,22 @@ class Results:
             for series in self.series
         ]
         return pd.DataFrame(rows, columns=[*axes, "estimator", "metric", *STATISTICS])
+
+    def trials_frame(self) -> pd.DataFrame:
+        """The value of every trial: the case's columns, estimator, metric, trial and value (nan: failed)."""
+        import pandas as pd
+
+        axes = [axis.name for axis in self.plan.axes]
+        parts = [
+            pd.DataFrame(
+                {
+                    **{axis: series.unit.labels.get(axis, "") for axis in axes},
+                    "estimator": series.unit.name,
+                    "metric": series.metric,
+                    "trial": range(self.plan.trials),
+                    "value": series.values,
+                }
+            )
+            for series in self.series
+        ]
+        return pd.concat(parts, ignore_index=True)

@@ -18,10 +18,10 @@ from hident.arrays import Array
 from hident.engine.executors import pin_blas
 from hident.engine.experiment import load
 from hident.engine.trial import Data, generate
+from hident.estimators.moving_horizon.hammerstein.iterative_hammerstein import IterativeHammerstein
 from hident.estimators.moving_horizon.iterative import IterativeSpec
-from hident.estimators.moving_horizon.iterative_hammerstein import IterativeHammerstein
-from hident.estimators.moving_horizon.linear_transform import SecondStageSpec, StageSpec
-from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
+from hident.estimators.moving_horizon.transform.linear_transform import SecondStageSpec, StageSpec
+from hident.estimators.moving_horizon.transform.time_weighted import Horizons, Knots
 from hident.records import Record
 from tests.benchmarks import chen_plain
 from tests.benchmarks.scaling import exponent, per_sample

@@ -24,7 +24,7 @@ def row_of(module):
     match module.parts:
         case (_,) | ("estimators", _):
             return " ".join(first for first, _ in rows()).replace("`hident/", "`")
-        case ("estimators" | "reports", folder, _):
+        case ("estimators" | "reports", folder, _) | ("estimators", folder, _, _):
             start = f"`{folder}/`"
         case (room, _):
             start = f"`hident/{room}/`"

@@ -154,7 +154,7 @@ def test_the_json_schema_documents_the_fields(current):
 
 def test_validating_loads_no_library_that_is_slow_to_import():
     program = (
-        "import sys; from hident.commands import load_plans; from pathlib import Path;"
+        "import sys; from hident.commands.plans import load_plans; from pathlib import Path;"
         "load_plans([Path('configs/mzyk_table1.yaml')], None, {}, ());"
         "print(sorted({name.split('.')[0] for name in sys.modules}))"
     )

@@ -6,13 +6,15 @@ from pathlib import Path
 import pytest
 
 from hident import plugins
-from hident.commands import load_plans
+from hident.commands.plans import load_plans
 from hident.config import spec
 from hident.config.spec import components
 
 PAGE = (Path(__file__).parents[2] / "docs" / "configuration.md").read_text(encoding="utf-8")
 EXAMPLES = {
-    re.findall(r"^title: (.*)$", text, re.M)[0]: text for text in re.findall(r"```yaml\n(.*?)```", PAGE, re.S)
+    title: text
+    for text in re.findall(r"```yaml\n(.*?)```", PAGE, re.S)
+    for title in re.findall(r"^title: (.*)$", text, re.M)
 }
 PLUGIN = '''
 from hident.config.spec import component

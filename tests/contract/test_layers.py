@@ -13,7 +13,7 @@ ROOT = Path(hident.__file__).parent
 # by side and do not know each other.
 LAYERS = (
     ("__main__",),
-    ("cli",),
+    ("cli", "api"),
     ("commands",),
     ("doctor",),
     ("progress",),
@@ -24,7 +24,7 @@ LAYERS = (
     ("engine",),
     ("estimators", "metrics"),
     ("signals",),
-    ("systems",),
+    ("systems", "measured"),
     ("records", "plugins"),
     ("linear_blocks",),
     ("numerics",),
@@ -73,6 +73,23 @@ def test_imports_run_downwards(path):
         for imported in imports(path)
         if room_of(imported) != here and HEIGHT[room_of(imported)] >= HEIGHT[here]
     ]
+    assert not wrong, f"{module} imports {wrong}"
+
+
+def family_of(module):
+    """The family of estimators that a module belongs to; empty for what all families share."""
+    room, _, rest = module.partition(".")
+    family = rest.partition(".")[0]
+    return family if room == "estimators" and (ROOT / "estimators" / family).is_dir() else ""
+
+
+FAMILIES = [path for path in MODULES if family_of(".".join(path.relative_to(ROOT).with_suffix("").parts))]
+
+
+@pytest.mark.parametrize("path", FAMILIES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_no_family_of_estimators_imports_another(path):
+    module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    wrong = [other for other in imports(path) if family_of(other) not in ("", family_of(module))]
     assert not wrong, f"{module} imports {wrong}"
 
 

@@ -128,7 +128,8 @@ def test_a_full_disk_is_told_apart_from_a_reader_that_has_gone(lab: Lab) -> None
 _ALL_FAULTS = """
 import sys, tempfile
 from pathlib import Path
-from hident import cli, commands
+from hident import cli
+from hident.commands import listing
 
 def full(*arguments, **options):
     raise OSError(28, "no room")
@@ -139,7 +140,7 @@ for raised in Path("faults.txt").read_text().splitlines():
         if raised.endswith("# no room"):
             tempfile.NamedTemporaryFile = full
         raise eval(raised)
-    commands.print_listing = broken
+    listing.print_listing = broken
     sys.argv = ["hident", "list", "estimators"]
     try:
         cli.main()

@@ -5,7 +5,10 @@ from collections.abc import Callable
 import numpy as np
 
 from hident.arrays import Array
-from hident.estimators.moving_horizon.static_functions import PolynomialFunction, ThreeSegmentFunction
+from hident.estimators.moving_horizon.hammerstein.static_functions import (
+    PolynomialFunction,
+    ThreeSegmentFunction,
+)
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.records import Record
 

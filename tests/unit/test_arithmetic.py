@@ -168,6 +168,46 @@ def test_the_identity_tells_two_arithmetics_apart():
     assert theirs != arithmetic.identity()
 
 
+_WITH_WORKERS = """
+import os
+import numpy
+os.environ.update({changes})
+from hident import arithmetic
+from hident.engine.executors import make_executor
+from hident.errors import ConfigError
+print(arithmetic.identity())
+with make_executor(2) as workers:
+    try:
+        print(workers.submit(arithmetic.identity).result())
+    except ConfigError as error:
+        print(error)
+print(os.environ.get("HIDENT_ARITHMETIC"))
+"""
+
+
+def test_workers_compute_as_this_process_does_where_numpy_came_first():
+    said = _in_a_new_process(
+        _WITH_WORKERS.format(changes={}), HIDENT_ARITHMETIC="pinned", OPENBLAS_CORETYPE="Nehalem"
+    )
+    here, there, asked = said.splitlines()
+    assert there == here
+    assert asked == "pinned"
+
+
+@can_be_pinned
+def test_workers_of_another_arithmetic_refuse_to_work():
+    changes = {"OPENBLAS_CORETYPE": "Nehalem"}
+    here, said, _ = _in_a_new_process(_WITH_WORKERS.format(changes=changes)).splitlines()
+    if "openblas" not in here:
+        pytest.skip("this BLAS cannot be told which kernel to use")
+    there = here.replace("Haswell", "Nehalem")
+    assert said == (
+        "worker processes compute with another arithmetic than this process, so that last digits would "
+        f"differ within one result: '{there}' there, '{here}' here. Import hident before numpy, or run with "
+        "--jobs 1"
+    )
+
+
 def test_help_loads_no_numerical_library():
     loaded = _in_a_new_process(
         "import sys\nfrom hident.cli import app\n"

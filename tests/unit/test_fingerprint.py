@@ -300,3 +300,50 @@ def test_what_only_a_figure_mentions_counts_where_a_neighbour_uses_it(plugin: Pa
     (plugin / "fp_user.py").write_text("from fp_all import drawn\n")
     plugins.load([plugin / "fp_user.py"])
     assert _keys(plugin, "fp_all.py", "return WIDTH * x", "return WIDTH + x") == (True, True)
+
+
+_LAZY = {
+    "__init__.py": "",
+    "fp_lazy.py": "from DOTfp_beside import VALUE\n\n\ndef fit():\n    from DOTfp_poly import poly\n",
+    "fp_beside.py": "VALUE = 1\n",
+    "fp_poly.py": (
+        "def poly():\n    from DOTfp_parts import inner\n    from DOTfp_broken import VALUE\n"
+        "    from DOTfp_nowhere import VALUE\n    from .... import above\n    import scipy.datasets\n"
+    ),
+    "fp_parts/inner.py": "VALUE = 1\n",
+    "fp_broken.py": "VALUE = (1\n",
+    "fp_idle.py": "VALUE = 1\n",
+}
+
+
+@pytest.mark.parametrize("kind", ["plugin file", "plugin file that everybody can import", "package"])
+def test_what_is_imported_within_a_function_counts_and_is_not_loaded_for_that(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    folder = tmp_path / "fp_package"
+    (folder / "fp_parts").mkdir(parents=True)
+    for file, text in _LAZY.items():
+        (folder / file).write_text(text.replace("DOT", "." if kind == "package" else ""))
+    before = set(sys.modules)
+    if kind == "package":
+        monkeypatch.syspath_prepend(tmp_path)
+        importlib.import_module("fp_package.fp_lazy")
+    else:
+        if kind != "plugin file":
+            monkeypatch.syspath_prepend(folder)
+        plugins.load([folder / "fp_lazy.py"])
+    loaded = set(sys.modules) - before
+    (name,) = (name for name in loaded if name.endswith("fp_lazy"))
+    counted = set()
+    hashed = code([name])
+    for file in _LAZY:
+        with (folder / file).open("a") as added:
+            added.write("\nANOTHER = 2\n")
+        _read_again()
+        if hashed != (hashed := code([name])):
+            counted.add(file)
+    assert set(sys.modules) - before == loaded
+    for module_name in loaded:
+        del sys.modules[module_name]
+    _read_again()
+    assert counted == {file for file in _LAZY if file not in ("__init__.py", "fp_idle.py")}

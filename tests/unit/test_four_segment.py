@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hident.estimators.moving_horizon.four_segment import FourSegment, forward, inverse, segments
+from hident.estimators.moving_horizon.wiener.four_segment import FourSegment, forward, inverse, segments
 
 slopes = st.tuples(*[st.floats(0.05, 20.0)] * 3).map(np.array)
 below, above = st.floats(-2.0, -0.1), st.floats(0.1, 2.0)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from hident import plugins
+from hident.errors import ConfigError
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.metrics.frequency import (
     GainShapeError,
@@ -126,7 +126,7 @@ def test_a_range_stands_for_several_frequencies():
     ],
 )
 def test_a_name_that_is_none_is_refused(name, message):
-    with pytest.raises(ValidationError) as caught:
+    with pytest.raises(ConfigError) as caught:
         Response(of=(name,))
     assert message in str(caught.value)
 

@@ -11,18 +11,18 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from hident.errors import EstimationError
-from hident.estimators.moving_horizon import iterative_hammerstein
-from hident.estimators.moving_horizon.hammerstein_iteration import iterate
-from hident.estimators.moving_horizon.hammerstein_stage import first_stage
-from hident.estimators.moving_horizon.horizon_least_squares import solve
-from hident.estimators.moving_horizon.iterative_hammerstein import IterativeHammerstein
-from hident.estimators.moving_horizon.sandwich import standard_errors
-from hident.estimators.moving_horizon.static_functions import (
+from hident.estimators.moving_horizon.hammerstein import iterative_hammerstein
+from hident.estimators.moving_horizon.hammerstein.iteration import iterate
+from hident.estimators.moving_horizon.hammerstein.iterative_hammerstein import IterativeHammerstein
+from hident.estimators.moving_horizon.hammerstein.stage import first_stage
+from hident.estimators.moving_horizon.hammerstein.static_functions import (
     PolynomialFunction,
     ThreeSegmentFunction,
     powers,
     three_segments,
 )
+from hident.estimators.moving_horizon.transform.horizon_least_squares import solve
+from hident.estimators.moving_horizon.transform.sandwich import standard_errors
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.records import Record
 from hident.systems.nonlinearity import ChenType1

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from hident.engine.trial import Data, generate
 from hident.errors import EstimationError
-from hident.estimators.moving_horizon.iterative_wiener import smoothed
+from hident.estimators.moving_horizon.wiener.iterative_wiener import smoothed
 from hident.records import Record
 from tests.unit.wiener_records import SEGMENTS, cubic, fit, record, spec
 

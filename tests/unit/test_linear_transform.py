@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from hident.errors import EstimationError
-from hident.estimators.moving_horizon.linear_transform import (
+from hident.estimators.moving_horizon.transform.linear_transform import (
     Measured,
     SecondStageSpec,
     StageSpec,
@@ -18,7 +18,7 @@ from hident.estimators.moving_horizon.linear_transform import (
     linear_block,
     search_structure,
 )
-from hident.estimators.moving_horizon.sandwich import influence, standard_errors
+from hident.estimators.moving_horizon.transform.sandwich import influence, standard_errors
 from hident.linear_blocks import ContinuousTransferFunction
 from tests.unit.multisteps import BLOCK, levels, record
 

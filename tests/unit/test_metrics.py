@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hident.errors import ConfigError
 from hident.linear_blocks import TransferFunction
 from hident.metrics.disturbance import DisturbanceVariance, DisturbanceVarianceFormula
 from hident.metrics.nonlinearity import IntegratedSquaredError, NonlinearityPercentError, quadrature
@@ -137,5 +138,5 @@ def test_leaving_out_the_square_of_eq_20_gives_the_printed_401():
     ],
 )
 def test_messages(make, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ConfigError, match=message):
         make()

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
 from scipy.signal import cont2discrete
 
+from hident.errors import ConfigError
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 from hident.metrics.models import LinearPercentError, ValidationPercentError, fit_error
 from hident.metrics.values import TrueValue
@@ -76,7 +76,7 @@ class TestLinearPercentError:
         assert metric.step is None
         assert metric.needs_of_estimate() == {"linear or continuous"}
         assert metric.needs_of_truth() == {"continuous"}
-        with pytest.raises(ValidationError, match="must be greater than 0"):
+        with pytest.raises(ConfigError, match="must be greater than 0"):
             LinearPercentError(step=0)
 
 

@@ -5,7 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hident.estimators.moving_horizon.horizon_least_squares import scaled_condition, solve, variance_inflation
+from hident.estimators.moving_horizon.transform.horizon_least_squares import (
+    scaled_condition,
+    solve,
+    variance_inflation,
+)
 
 QUICK = settings(deadline=None, derandomize=True, max_examples=30)
 

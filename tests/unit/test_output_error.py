@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hident.errors import EstimationError
-from hident.estimators.moving_horizon.four_segment import (
+from hident.estimators.moving_horizon.output_error import refine_hammerstein, refine_wiener, sensitivities
+from hident.estimators.moving_horizon.wiener.four_segment import (
     FourSegment,
     forward,
     forward_by_slopes,
     forward_slope,
 )
-from hident.estimators.moving_horizon.output_error import refine_hammerstein, refine_wiener, sensitivities
 from hident.linear_blocks import ContinuousTransferFunction
 
 DT = 0.1

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import pytest
-from pydantic import ValidationError
 
 from hident.engine.experiment import PublishedCells
 from hident.errors import ConfigError
@@ -130,5 +129,5 @@ def test_several_quantities_of_a_row_stand_in_one_cell():
     cell = PublishedCells(table="T", row="r", estimator="k", quantities={"a": "m a_1", "b": "m b_1"})
     assert cell.pairs() == (("a", "m a_1"), ("b", "m b_1"))
     for wrong in ({}, {"quantity": "q"}, {"metric": "m"}, {"quantity": "q", "quantities": {"a": "b"}}):
-        with pytest.raises(ValidationError, match="give 'quantity' and 'metric', or 'quantities' instead"):
+        with pytest.raises(ConfigError, match="give 'quantity' and 'metric', or 'quantities' instead"):
             PublishedCells(table="T", row="r", estimator="k", **wrong)

@@ -12,7 +12,7 @@ from hident.engine.trial import Data, Job, estimate, generate, run_trials
 from hident.errors import ConfigError, EstimationError
 from hident.estimators.base import EstimatorSpec
 from hident.estimators.bilinear_models.ar_noise import METHODS, ArModel
-from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
+from hident.estimators.moving_horizon.transform.time_weighted import Horizons, Knots
 from hident.estimators.nonparametric.prefilter import FilteredRecord, prefilter
 from hident.linear_blocks import TransferFunction
 from hident.metrics.disturbance import DisturbanceVariance

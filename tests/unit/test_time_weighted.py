@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 from scipy.integrate import quad
 
-from hident.estimators.moving_horizon.time_weighted import SMOOTH, Horizons, Knots, fewest_samples
+from hident.estimators.moving_horizon.transform.time_weighted import SMOOTH, Horizons, Knots, fewest_samples
 from hident.linear_blocks import ContinuousTransferFunction
 
 QUICK = settings(deadline=None, derandomize=True, max_examples=30)

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from hident.errors import EstimationError
 from hident.estimators.convergence import History
-from hident.estimators.voros_hammerstein import (
+from hident.estimators.voros.voros_hammerstein import (
     Rule,
     Structure,
     TwoSegmentPolynomial,
@@ -17,7 +17,7 @@ from hident.estimators.voros_hammerstein import (
     iterate,
     voros_hammerstein,
 )
-from hident.estimators.voros_wiener import VorosWiener, voros_wiener
+from hident.estimators.voros.voros_wiener import VorosWiener, voros_wiener
 from hident.linear_blocks import TransferFunction
 from hident.records import Record
 

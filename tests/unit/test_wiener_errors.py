@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hident.estimators.moving_horizon.iterative_wiener import IterativeWiener
+from hident.estimators.moving_horizon.wiener.iterative_wiener import IterativeWiener
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.records import Record
 from hident.systems.nonlinearity import PiecewiseLinear

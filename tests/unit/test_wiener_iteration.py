@@ -3,10 +3,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hident.estimators.moving_horizon import wiener_stage
-from hident.estimators.moving_horizon.batched_blocks import responses, time_constants
-from hident.estimators.moving_horizon.wiener_iteration import FourSegments, Powers, Rule, iterate
-from hident.estimators.moving_horizon.wiener_stage import search_partition
+from hident.estimators.moving_horizon.wiener import stage
+from hident.estimators.moving_horizon.wiener.batched_blocks import responses, time_constants
+from hident.estimators.moving_horizon.wiener.iteration import FourSegments, Powers, Rule, iterate
+from hident.estimators.moving_horizon.wiener.stage import search_partition
 from hident.linear_blocks import ContinuousTransferFunction
 from tests.unit.wiener_records import TRUTH, cubic, record, wiener
 
@@ -89,7 +89,7 @@ class TestTheSearch:
     def test_is_the_same_a_few_pairs_at_a_time(self, monkeypatch):
         data = wiener(record(dt=0.1))
         whole = search_partition(data, Rule(), 0.0)
-        monkeypatch.setattr(wiener_stage, "_AT_ONCE", 5 * len(data.y))
+        monkeypatch.setattr(stage, "_AT_ONCE", 5 * len(data.y))
         parts = search_partition(data, Rule(), 0.0)
         np.testing.assert_allclose(parts.loss, whole.loss, rtol=1e-6)
         np.testing.assert_allclose(parts.best, whole.best, rtol=1e-12)

@@ -4,9 +4,9 @@ import numpy as np
 
 from hident import plugins
 from hident.config.spec import Of
-from hident.estimators.moving_horizon.four_segment import FourSegment
-from hident.estimators.moving_horizon.time_weighted import Horizons
-from hident.estimators.moving_horizon.wiener_iteration import Wiener
+from hident.estimators.moving_horizon.transform.time_weighted import Horizons
+from hident.estimators.moving_horizon.wiener.four_segment import FourSegment
+from hident.estimators.moving_horizon.wiener.iteration import Wiener
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.records import Record
 

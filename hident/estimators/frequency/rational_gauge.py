@@ -152,7 +152,8 @@ class _Problem:
         """
         from scipy.optimize import least_squares
 
-        found, costs, said = [], [], []
+        found, said = [], []
+        costs: list[float] = []
         for tried, start in enumerate(self.starts()):
             if tried >= _TRIED and chi_squared.fits(min(costs), self.freedom, chi_squared.LIKELY):
                 break

@@ -15,10 +15,13 @@ from hident.config.spec import Count, Flag, Real
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
 from hident.estimators.convergence import Unconverged
-from hident.estimators.moving_horizon.horizon_least_squares import scaled_condition, variance_inflation
-from hident.estimators.moving_horizon.linear_transform import LinearFit, SecondStageSpec, StageSpec
 from hident.estimators.moving_horizon.searches import StructureSearch
-from hident.estimators.moving_horizon.time_weighted import Horizons
+from hident.estimators.moving_horizon.transform.horizon_least_squares import (
+    scaled_condition,
+    variance_inflation,
+)
+from hident.estimators.moving_horizon.transform.linear_transform import LinearFit, SecondStageSpec, StageSpec
+from hident.estimators.moving_horizon.transform.time_weighted import Horizons
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.numerics.parts import Parts, whole
 from hident.records import Record

@@ -15,7 +15,7 @@ from hident.estimators.moving_horizon.iterative import (
     padded,
     under,
 )
-from hident.estimators.moving_horizon.linear_transform import SecondStageSpec
+from hident.estimators.moving_horizon.transform.linear_transform import SecondStageSpec
 from hident.estimators.normalisation import Normalisation, known_function
 from hident.numerics.parts import Parts
 from hident.records import Estimate, Record

@@ -22,13 +22,13 @@ import numpy as np
 from hident.arrays import Array
 from hident.errors import EstimationError
 from hident.estimators.base import require_finite
-from hident.estimators.moving_horizon.four_segment import (
+from hident.estimators.moving_horizon.transform.linear_transform import responses_in
+from hident.estimators.moving_horizon.wiener.four_segment import (
     FourSegment,
     forward,
     forward_by_slopes,
     forward_slope,
 )
-from hident.estimators.moving_horizon.linear_transform import responses_in
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.numerics.gauss_newton import gauss_newton
 from hident.numerics.least_squares import Factorisation

@@ -10,13 +10,16 @@ from pydantic import AfterValidator
 
 from hident.config.spec import Of, component
 from hident.estimators.base import EstimatorSpec, Experiments
-from hident.estimators.moving_horizon.four_segment import FourSegment
+from hident.estimators.moving_horizon.hammerstein.iterative_hammerstein import IterativeHammerstein
+from hident.estimators.moving_horizon.hammerstein.static_functions import (
+    PolynomialFunction,
+    ThreeSegmentFunction,
+)
 from hident.estimators.moving_horizon.iterative import IterativeSpec
-from hident.estimators.moving_horizon.iterative_hammerstein import IterativeHammerstein
-from hident.estimators.moving_horizon.iterative_wiener import IterativeWiener, WienerResponse
 from hident.estimators.moving_horizon.output_error import Refinement, refine_hammerstein, refine_wiener
-from hident.estimators.moving_horizon.static_functions import PolynomialFunction, ThreeSegmentFunction
-from hident.estimators.moving_horizon.wiener_stage import FourSegmentSpec
+from hident.estimators.moving_horizon.wiener.four_segment import FourSegment
+from hident.estimators.moving_horizon.wiener.iterative_wiener import IterativeWiener, WienerResponse
+from hident.estimators.moving_horizon.wiener.stage import FourSegmentSpec
 from hident.estimators.normalisation import Normalisation
 from hident.records import Estimate, Record
 

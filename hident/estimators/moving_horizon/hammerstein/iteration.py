@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hident.arrays import Array
-from hident.estimators.moving_horizon.horizon_least_squares import back_substituted, solve
+from hident.estimators.moving_horizon.transform.horizon_least_squares import back_substituted, solve
 from hident.numerics.least_squares import lengths
 
 

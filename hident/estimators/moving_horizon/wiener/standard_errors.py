@@ -14,12 +14,12 @@ from __future__ import annotations
 import numpy as np
 
 from hident.arrays import Array
-from hident.estimators.moving_horizon.four_segment import forward, inverse_slope, segments
-from hident.estimators.moving_horizon.linear_transform import LinearFit, responses_in
 from hident.estimators.moving_horizon.output_error import sensitivities
-from hident.estimators.moving_horizon.sandwich import influence, standard_errors
-from hident.estimators.moving_horizon.time_weighted import Knots
-from hident.estimators.moving_horizon.wiener_iteration import Wiener
+from hident.estimators.moving_horizon.transform.linear_transform import LinearFit, responses_in
+from hident.estimators.moving_horizon.transform.sandwich import influence, standard_errors
+from hident.estimators.moving_horizon.transform.time_weighted import Knots
+from hident.estimators.moving_horizon.wiener.four_segment import forward, inverse_slope, segments
+from hident.estimators.moving_horizon.wiener.iteration import Wiener
 from hident.linear_blocks import ContinuousTransferFunction
 
 

@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hident.arrays import Array
-from hident.estimators.moving_horizon.batched_blocks import responses, time_constants
-from hident.estimators.moving_horizon.four_segment import left_segments, right_segment
-from hident.estimators.moving_horizon.horizon_least_squares import solve
-from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
+from hident.estimators.moving_horizon.transform.horizon_least_squares import solve
+from hident.estimators.moving_horizon.transform.time_weighted import Horizons, Knots
+from hident.estimators.moving_horizon.wiener.batched_blocks import responses, time_constants
+from hident.estimators.moving_horizon.wiener.four_segment import left_segments, right_segment
 from hident.numerics.parts import in_each
 
 if TYPE_CHECKING:

@@ -17,12 +17,12 @@ from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Spec
 from hident.errors import EstimationError
 from hident.estimators.convergence import History
-from hident.estimators.moving_horizon.batched_blocks import time_constants
-from hident.estimators.moving_horizon.four_segment import FourSegment, forward, inverse
-from hident.estimators.moving_horizon.linear_transform import block_of
 from hident.estimators.moving_horizon.partition import Partition, require_inside
 from hident.estimators.moving_horizon.searches import PartitionSearch, best_pair
-from hident.estimators.moving_horizon.wiener_iteration import (
+from hident.estimators.moving_horizon.transform.linear_transform import block_of
+from hident.estimators.moving_horizon.wiener.batched_blocks import time_constants
+from hident.estimators.moving_horizon.wiener.four_segment import FourSegment, forward, inverse
+from hident.estimators.moving_horizon.wiener.iteration import (
     Flags,
     FourSegments,
     Internal,

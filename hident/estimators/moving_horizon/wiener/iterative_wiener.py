@@ -17,23 +17,23 @@ from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
 from hident.estimators.convergence import settle
 from hident.estimators.moving_horizon.iterative import IterativeSpec
-from hident.estimators.moving_horizon.linear_transform import (
+from hident.estimators.moving_horizon.partition import require_inside
+from hident.estimators.moving_horizon.searches import StructureSearch, found_searches
+from hident.estimators.moving_horizon.transform.linear_transform import (
     LinearFit,
     Measured,
     SecondStageSpec,
     StageSpec,
     responses_in,
 )
-from hident.estimators.moving_horizon.partition import require_inside
-from hident.estimators.moving_horizon.searches import StructureSearch, found_searches
-from hident.estimators.moving_horizon.wiener_errors import wiener_errors
-from hident.estimators.moving_horizon.wiener_iteration import Rule, Wiener
-from hident.estimators.moving_horizon.wiener_stage import (
+from hident.estimators.moving_horizon.wiener.iteration import Rule, Wiener
+from hident.estimators.moving_horizon.wiener.stage import (
     FourSegmentSpec,
     PolynomialSpec,
     WienerStage,
     first_stage,
 )
+from hident.estimators.moving_horizon.wiener.standard_errors import wiener_errors
 from hident.estimators.normalisation import Normalisation, unit_slope, unit_static_gain
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.records import Estimate, Record

@@ -1,4 +1,4 @@
-"""Voros's method for Wiener systems; symbols are in :mod:`hident.estimators.voros_hammerstein`."""
+"""Voros's method for Wiener systems; symbols are in :mod:`hident.estimators.voros.voros_hammerstein`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from hident.arrays import Array, Characteristic
 from hident.config.spec import component
 from hident.estimators.normalisation import Normalisation, unit_slope
-from hident.estimators.voros_hammerstein import (
+from hident.estimators.voros.voros_hammerstein import (
     Iterations,
     Rule,
     Structure,

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from hident.arrays import Array
-from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
+from hident.estimators.moving_horizon.transform.time_weighted import Horizons, Knots
 
 
 def influence(onto: Array, horizons: Horizons, knots: Knots, a: tuple[float, ...]) -> Array:

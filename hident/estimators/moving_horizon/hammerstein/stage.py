@@ -18,17 +18,17 @@ from hident.arrays import Array
 from hident.config.spec import Count, Spec
 from hident.errors import EstimationError
 from hident.estimators.convergence import History
-from hident.estimators.moving_horizon.hammerstein_iteration import Iteration, iterate
-from hident.estimators.moving_horizon.linear_transform import StageSpec, block_of
-from hident.estimators.moving_horizon.partition import Partition, require_inside
-from hident.estimators.moving_horizon.searches import PartitionSearch, best_pair
-from hident.estimators.moving_horizon.static_functions import (
+from hident.estimators.moving_horizon.hammerstein.iteration import Iteration, iterate
+from hident.estimators.moving_horizon.hammerstein.static_functions import (
     PolynomialFunction,
     ThreeSegmentFunction,
     powers,
     three_segments,
 )
-from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
+from hident.estimators.moving_horizon.partition import Partition, require_inside
+from hident.estimators.moving_horizon.searches import PartitionSearch, best_pair
+from hident.estimators.moving_horizon.transform.linear_transform import StageSpec, block_of
+from hident.estimators.moving_horizon.transform.time_weighted import Horizons, Knots
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.numerics.parts import Parts
 

@@ -14,23 +14,23 @@ from pydantic import Discriminator, Field
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
 from hident.estimators.convergence import settle
-from hident.estimators.moving_horizon.hammerstein_stage import (
+from hident.estimators.moving_horizon.hammerstein.stage import (
     FirstStage,
     Polynomial,
     ThreeSegment,
     first_stage,
 )
+from hident.estimators.moving_horizon.hammerstein.static_functions import ThreeSegmentFunction
 from hident.estimators.moving_horizon.iterative import IterativeSpec
-from hident.estimators.moving_horizon.linear_transform import (
+from hident.estimators.moving_horizon.partition import require_inside
+from hident.estimators.moving_horizon.searches import StructureSearch, found_searches
+from hident.estimators.moving_horizon.transform.linear_transform import (
     LinearFit,
     SecondStageSpec,
     StageSpec,
     responses_in,
 )
-from hident.estimators.moving_horizon.partition import require_inside
-from hident.estimators.moving_horizon.sandwich import influence, standard_errors
-from hident.estimators.moving_horizon.searches import StructureSearch, found_searches
-from hident.estimators.moving_horizon.static_functions import ThreeSegmentFunction
+from hident.estimators.moving_horizon.transform.sandwich import influence, standard_errors
 from hident.estimators.normalisation import Normalisation, unit_static_gain
 from hident.records import Estimate, Record
 

@@ -22,9 +22,9 @@ from pydantic import Field, model_validator
 from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Real, Spec
 from hident.errors import EstimationError
-from hident.estimators.moving_horizon.horizon_least_squares import solve
 from hident.estimators.moving_horizon.searches import StructureSearch
-from hident.estimators.moving_horizon.time_weighted import Horizons, Knots
+from hident.estimators.moving_horizon.transform.horizon_least_squares import solve
+from hident.estimators.moving_horizon.transform.time_weighted import Horizons, Knots
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.numerics.choices import simplest
 from hident.numerics.parts import Parts, in_each, whole

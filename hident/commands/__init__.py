@@ -1,0 +1,1 @@
+"""What the verbs do; :mod:`hident.cli` only reads their arguments."""

@@ -1,0 +1,69 @@
+"""The configurations that a verb is for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from hident import plugins
+from hident.config.load import Document
+from hident.config.suggest import one_of
+from hident.engine.experiment import Plan, load
+from hident.errors import ConfigError
+
+
+def all_configs() -> list[Path]:
+    """The files under configs/."""
+    found = sorted(Path("configs").glob("*.yaml"))
+    if not found:
+        raise ConfigError("there is no configuration under configs/ here; name the files")
+    return found
+
+
+def load_plans(
+    configs: Iterable[Path | Document],
+    assignments: Sequence[str] | None,
+    options: Mapping[str, int | None],
+    plugin_files: Iterable[Path],
+) -> list[Plan]:
+    """All plans, or one error that holds what is wrong with all files."""
+    from hident.ledger.published import check_published
+    from hident.reports.output import check
+
+    plugins.load(plugin_files)
+    plans: list[Plan] = []
+    errors: list[str] = []
+    for config in configs:
+        try:
+            source = config if isinstance(config, Document) else file_of(config)
+            plan = load(source, assignments or (), options)
+            check_published(plan)
+            check(plan)
+            plans.append(plan)
+        except ConfigError as error:
+            errors.append(str(error))
+    if errors:
+        raise ConfigError("\n".join(errors))
+    # Names that differ in capitals only are one folder on many systems.
+    names = [plan.name.casefold() for plan in plans]
+    twice = sorted({plan.name for plan in plans if names.count(plan.name.casefold()) > 1})
+    if twice:
+        raise ConfigError(f"two files are named {one_of(twice)}, and the name is that of the output folder")
+    return plans
+
+
+def file_of(config: Path) -> Path:
+    """The file that is meant: itself, or the one of this name under configs/ or here."""
+    if config.suffix or config.exists():
+        return config
+    named = (Path("configs") / f"{config}.yaml", Path(f"{config}.yaml"))
+    return next((file for file in named if file.exists()), config)
+
+
+def described(plan: Plan) -> str:
+    """One line on a sound configuration."""
+    cases, units = len({unit.data.key for unit in plan.units}), len(plan.units)
+    return (
+        f"{plan.path}: fine: {cases} case{'s' * (cases != 1)}, {units} estimate{'s' * (units != 1)} "
+        f"of {plan.trials} trial{'s' * (plan.trials != 1)}"
+    )

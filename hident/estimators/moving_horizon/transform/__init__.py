@@ -1,0 +1,1 @@
+"""The transform over moving horizons, and linear blocks fitted by it."""

@@ -1,0 +1,1 @@
+"""The iterative two-stage method for Wiener systems."""

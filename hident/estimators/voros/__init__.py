@@ -1,0 +1,1 @@
+"""Voros's methods in discrete time, by key-term separation."""
