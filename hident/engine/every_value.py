@@ -46,8 +46,8 @@ def with_every_value(document: Document, first: Document, complaints: list[Compl
 
 def _shown(document: Document, entry: Mapping[str, Any]) -> list[str]:
     """The values of the metric of a table or a figure."""
-    metrics = document.data.get("metrics")
-    metric = metrics.get(entry.get("metric")) if isinstance(metrics, Mapping) else None
+    metrics, name = document.data.get("metrics"), entry.get("metric")
+    metric = metrics.get(name) if isinstance(metrics, Mapping) and isinstance(name, str) else None
     of = metric.get("of") if isinstance(metric, Mapping) else None
     return of if isinstance(of, list) else []
 
@@ -56,7 +56,8 @@ def _scored(first: Document, metric: Mapping[str, Any]) -> list[str]:
     """The values that a metric can score of every estimator that it is for."""
     known = first.data.get("estimators")
     every = known if isinstance(known, Mapping) else {}
-    names = metric.get("estimators") or every
+    written = metric.get("estimators")
+    names = [one for one in written if isinstance(one, str)] if isinstance(written, list) else list(every)
     try:
         system = Of("system").validate(first.data.get("system"))
         estimators = [Of("estimator").validate(every[name]) for name in names if name in every]

@@ -596,11 +596,24 @@ def _places(data, at=()):
 _SOUND = yaml.safe_load(
     with_(
         more="""\
-cases: {samples: [50, 60], "n": {"one": {noise.std: 1}, "two": {noise.std: 2}}}
+cases:
+  samples: [50, 60]
+  n: {"one": {noise.std: 1, $kernel: gaussian}, "two": {noise.std: 2, $kernel: window_unit}}
+  h: [0.1, 0.2]
+skip: [{samples: 50, n: one}, {estimator: "w 2", h: [0.1]}]
 dt: 0.5
-tables: {t: {kind: grid, title: T, rows: samples, columns: [{estimator: k, metric: mise}]}}
-figures: {f: {kind: curve, x: samples, metric: mise}}
+tables:
+  t: {kind: grid, title: T, rows: samples, columns: [{estimator: [k, w 1], each: {m: [mise]}, metric: $m}]}
+  r: {kind: parameters, title: T, metric: every, of: all, estimators: [iv]}
+figures: {f: {kind: curve, x: samples, metric: mise, x_label: N, y_label: MISE}}
 """
+    )
+    .replace("estimators: [k]", "estimators: [k, w 1, w 2]")
+    .replace("metrics:\n", "metrics:\n  every: {kind: value, of: all, estimators: [iv]}\n")
+    .replace(
+        "estimators:\n  k",
+        "estimators:\n"
+        "  w $i: {each: {i: [1, 2]}, kind: kernel, kernel: $kernel, bandwidth: {h0: $h*$i, alpha: 1/5}}\n  k",
     )
 )
 _ODD = st.one_of(
@@ -609,8 +622,15 @@ _ODD = st.one_of(
     st.integers(-3, 3),
     st.floats(),
     st.sampled_from(["", "kernel", "2*pi", "1/0", "a.b", "samples", 10**30, 1e308, 5e-324, "iid"]),
+    st.sampled_from(
+        ["$h", "$i", "2*$h", "$x", "$$", "$a$", "${n}", "all", {"each": {"i": [[1]]}}, {"each": 3}]
+    ),
     st.sampled_from([[], {}, [1, 2], [[]], [{}], {"kind": "iid"}, {"kind": []}, {"a": {"b": {}}}, ["a", 1]]),
 )
+
+
+def test_the_sound_file_is_sound(write):
+    assert len(load(write(json.dumps(_SOUND))).units) == 15
 
 
 @settings(deadline=None, derandomize=True, max_examples=250)
