@@ -45,8 +45,8 @@ def instrumental_variables(
     Returns
     -------
     Estimate
-        The linear block B/A, the values ``a_1``, ..., ``a_p``, ``b_1``, ..., ``b_q`` and ``c`` = E w_k, that of
-        all samples where the experiments have different levels.
+        The linear block B/A, the values ``a_1``, ..., ``a_p``, ``b_1``, ..., ``b_q`` and ``c`` = E w_k, its
+        mean over all samples where the experiments differ in it.
 
     Raises
     ------
