@@ -20,6 +20,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hident.arrays import Array, Complex
 from hident.errors import ConfigError
@@ -34,6 +35,13 @@ SLOWEST = 0.99999
 
 def _roots(polynomial: Array) -> Complex:
     return np.roots(polynomial).astype(np.complex128)
+
+
+def significant(terms: ArrayLike) -> Array:
+    """The terms (n,), zero where one is no more than rounding beside the others."""
+    sizes = np.abs(found := np.array(terms, dtype=float))
+    found[sizes <= ROUNDING * np.sum(sizes)] = 0.0
+    return found
 
 
 def _sum(terms: Array) -> float:
@@ -103,7 +111,7 @@ class TransferFunction:
             If b_0 is zero: the block delays its input, and only the future would undo that.
         """
         b0 = self.b[0]
-        if b0 == 0.0:
+        if significant(self.b)[0] == 0.0:
             raise ValueError("a block with b_0 = 0 delays its input and has no causal inverse")
         return TransferFunction(b=tuple(self.denominator / b0), a=tuple(-value / b0 for value in self.b[1:]))
 
@@ -240,8 +248,8 @@ class ContinuousTransferFunction:
         return bool(np.all(self.poles().real < 0.0))
 
     def static_gain(self) -> float:
-        """The gain at frequency zero."""
-        return self.b[0]
+        """The gain at frequency zero: exactly zero where b_0 is rounding beside what the others make."""
+        return self.b[0] if significant(self.b / self._unit ** np.arange(len(self.b)))[0] else 0.0
 
     def values(self) -> dict[str, float]:
         """The parameters by name: a_1, ..., a_n, b_0, ..., b_m."""
@@ -379,6 +387,6 @@ class ContinuousTransferFunction:
 
         The delay does not count. Infinite for an unstable block or one without static gain.
         """
-        if not self.is_stable() or self.b[0] == 0.0:
+        if not self.is_stable() or self.static_gain() == 0.0:
             return math.inf
         return settling_time(self.b, self.a, band)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hident.arrays import Array, Characteristic
-from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction, significant
 from hident.records import Truth
 
 CLOSE = 1e-4
@@ -68,7 +68,7 @@ def unit_length(delay: int, lags: int, values: str) -> Normalisation:
         if block is None:
             return None
         b = np.zeros(delay + lags)
-        b[: len(block.b)] = block.b[: len(b)]
+        b[: len(block.b)] = significant(block.b)[: len(b)]
         b = b[delay:]
         if b[0] == 0.0:
             found = "are zero" if not np.any(b) else f"begin with zero, and noise gives b_{delay} a sign"
@@ -88,7 +88,7 @@ def first_coefficient(
         block = _discrete(truth, step or dt)
         if block is None:
             return None
-        found = block.b[lag] if lag < len(block.b) else 0.0
+        found = float(significant(block.b)[lag]) if lag < len(block.b) else 0.0
         if found == 0.0:
             raise ValueError(
                 f"the system has {name} = 0, which no factor makes {value:g}: its block delays the input more"

@@ -6,11 +6,16 @@ import csv
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
-from hident.engine.run_files import RUN
+from hident.config.suggest import one_of
+from hident.engine.run_files import RUN, VERDICTS
 from hident.errors import ConfigError, NothingToCompare
 from hident.ledger.published import Key, Reason, read_published, read_reasons
+from hident.ledger.verdicts import Word
 from hident.run_folder import RunFolder
+
+_COLUMNS = ("table", "row", "quantity", "printed", "ours", "verdict")
 
 
 @dataclass(frozen=True)
@@ -35,19 +40,19 @@ def verify(folder: Path, experiments: Path) -> Verification:
     NothingToCompare
         If the folder holds no verdicts.
     ConfigError
-        If a file of the ledger cannot be read.
+        If a file of the ledger cannot be read, or the verdicts of a run are gone or not as it wrote them.
     """
-    found = sorted(folder.glob("*/verdicts.csv")) or sorted(folder.glob("verdicts.csv"))
+    found = list(filter(_is_judged, sorted(folder.glob("*")))) or list(filter(_is_judged, [folder]))
     if not found:
         raise NothingToCompare(f"{folder} holds no verdicts.csv: run a configuration with 'published:' first")
     counts: dict[str, dict[str, int]] = {}
     unexplained: list[str] = []
     judged: dict[str, set[Key]] = {}
     used: set[tuple[str, int]] = set()
-    for path in found:
-        config, paper = _origin(path.parent)
+    for results in found:
+        config, paper = _origin(results)
         reasons = read_reasons(experiments / paper)
-        rows = _verdicts(path)
+        rows = _verdicts(results)
         counts[config] = dict(Counter(row["verdict"] for row in rows))
         for row in rows:
             key = (row["table"], row["row"], row["quantity"])
@@ -74,6 +79,17 @@ def _covering(reasons: tuple[Reason, ...], config: str, key: Key) -> int | None:
     return next((i for i, reason in enumerate(reasons) if reason.covers(config, key)), None)
 
 
+def _is_judged(folder: Path) -> bool:
+    """Whether the folder holds verdicts, or its run.json does not rule out that it should."""
+    results = RunFolder(folder)
+    if (folder / VERDICTS).exists() or VERDICTS in results.files():
+        return True
+    match run := results.run():
+        case {"experiment": {"resolved": {"published": _}}}:
+            return True
+    return run is None and results.finished
+
+
 def _origin(folder: Path) -> tuple[str, str]:
     match RunFolder(folder).run():
         case {"experiment": {"config": config, "resolved": {"paper": paper}}}:
@@ -81,12 +97,22 @@ def _origin(folder: Path) -> tuple[str, str]:
     raise ConfigError(f"{folder / RUN} is not that of a run for a paper: run the configuration again")
 
 
-def _verdicts(path: Path) -> list[dict[str, str]]:
+def _verdicts(folder: Path) -> list[dict[str, str]]:
+    for name in RunFolder(folder).altered():
+        if name in (RUN, VERDICTS):
+            raise ConfigError(f"{folder / name} was altered since the run: run the configuration again")
+    path = folder / VERDICTS
     try:
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(f"{path} cannot be read ({error}): run the configuration again") from None
-    if any(not {"table", "row", "quantity", "printed", "ours", "verdict"} <= row.keys() for row in rows):
+    if not rows:
+        raise ConfigError(f"{path} holds no verdict: run the configuration again")
+    if any(row.get(name) is None for row in rows for name in _COLUMNS):
         raise ConfigError(f"{path} lacks columns: run the configuration again")
+    allowed = get_args(Word)
+    if unknown := [row["verdict"] for row in rows if row["verdict"] not in allowed]:
+        said = f"'{unknown[0]}' (allowed: {one_of(allowed)})"
+        raise ConfigError(f"{path} holds the verdict {said}: run the configuration again")
     return rows

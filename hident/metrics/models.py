@@ -115,6 +115,14 @@ class SettlingTime(MetricSpec):
     def needs_of_estimate(self) -> frozenset[str]:
         return frozenset({"continuous"})
 
+    def check(self, scored: Scored) -> None:
+        truth = scored.system.truth().continuous
+        if truth is not None and truth.static_gain() == 0.0:
+            raise ValueError(
+                "measures from the final value of the step response, and the system's linear block has no "
+                "static gain (b_0 = 0): score the whole model by validation_error"
+            )
+
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         return (needed(estimate.continuous).settling_time(self.band),)
 

@@ -116,6 +116,13 @@ def test_the_remedy_gives_the_same_system_and_a_right_score(plan_of):
         ("[1]", "{kind: kernel, kernel: gaussian, bandwidth: {h0: 1, alpha: 0}}", None),
         ("[2]", "{kind: kernel, kernel: gaussian, bandwidth: {h0: 1, alpha: 0}}", "has 2 in place of 1"),
         ("[0, 1]", "{kind: kernel, kernel: gaussian, bandwidth: {h0: 1, alpha: 0}}", "gamma_0 = 0"),
+        ("[sin(pi), 1]", "{kind: kernel, kernel: gaussian, bandwidth: {h0: 1, alpha: 0}}", "gamma_0 = 0"),
+        (
+            "[0, 1]",
+            "{kind: kernel, kernel: gaussian, bandwidth: {h0: 1, alpha: 0}, prefilter: "
+            "{kind: known_dynamics, b: [sin(pi), 1]}}",
+            None,
+        ),
         (
             "[0, 1]",
             "{kind: orthogonal, basis: {kind: trigonometric, interval: [-2, 2]}, terms: {q0: 1, alpha: 0}}",
@@ -138,7 +145,9 @@ def test_the_remedy_gives_the_same_system_and_a_right_score(plan_of):
         ("[0, 0.4472, -0.8944]", "{kind: two_stage, lags: 2, degree: 2}", None),
         ("[0, -0.6, 0.8]", "{kind: two_stage, lags: 2, degree: 2}", "the system has -1 in place of 1"),
         ("[0, 0, 1]", "{kind: two_stage, lags: 2, degree: 2}", "begin with zero, and noise gives b_1 a sign"),
+        ("[0, 1e-17, 1]", "{kind: two_stage, lags: 2, degree: 2}", "begin with zero, and noise gives b_1 a"),
         ("[1]", "{kind: two_stage, lags: 2, degree: 2}", "b_1 to b_2 are zero"),
+        ("[1, 1e-17]", "{kind: two_stage, lags: 2, degree: 2}", "b_1 to b_2 are zero"),
         ("[0, 3]", "{kind: separable_least_squares, lags: 1, degree: 2, feedback: 1}", "has 3 in place of 1"),
         ("[0, 1, 0.5]", "{kind: voros_hammerstein, n: 1, m: 2, degree: 2}", None),
         (
@@ -200,6 +209,12 @@ def test_every_discrete_method_by_its_own_rule(refusals, b, estimator, said):
         ),
         (
             WIENER.replace("NONLINEARITY", "chen_type_3").replace("B", "[0, 1]"),
+            f"{{kind: iterative_wiener, nonlinearity: {{kind: four_segment}}, {HORIZONS}}}",
+            CURVE,
+            "the system's linear block has no static gain",
+        ),
+        (
+            WIENER.replace("NONLINEARITY", "chen_type_3").replace("B", "[sin(pi), 1]"),
             f"{{kind: iterative_wiener, nonlinearity: {{kind: four_segment}}, {HORIZONS}}}",
             CURVE,
             "the system's linear block has no static gain",

@@ -227,10 +227,11 @@ def test_blocks_without_a_stable_inverse(b, zeros):
         prefilter(np.zeros(10), TransferFunction(b=b))
 
 
-def test_blocks_without_a_causal_inverse():
+@pytest.mark.parametrize("b", [(0.0, 1.0), (1e-17, 1.0)])
+def test_blocks_without_a_causal_inverse(b):
     message = r"^the linear block has b_0 = 0: it delays its input and has no causal inverse$"
     with pytest.raises(EstimationError, match=message):
-        prefilter(np.zeros(10), TransferFunction(b=(0.0, 1.0)))
+        prefilter(np.zeros(10), TransferFunction(b=b))
 
 
 def test_order_of_a_filtered_record_is_that_of_its_input():

@@ -1,5 +1,7 @@
 """What a metric cannot score is refused before the run, or fails the trial with its reason."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -91,17 +93,35 @@ def refused(tmp_path):
 
 
 class TestStaticGain:
-    def test_a_truth_without_one_is_refused(self, refused):
-        assert refused(BS="[0, 1]") == (
+    @pytest.mark.parametrize("b", ["[0, 1]", "[1e-17, 1]", "[sin(pi), 1]"])
+    def test_a_truth_without_one_is_refused(self, refused, b):
+        assert refused(BS=b) == (
             "metrics.m: the metric 'linear_percent_error' leaves the gain apart, and the system's linear "
             "block has no static gain (b_0 = 0) to be divided by: score the parameters by kind error, or the "
             "whole model by validation_error"
         )
 
+    def test_a_step_response_without_one_settles_nowhere(self, refused):
+        assert refused(BS="[sin(pi), 1]", METRIC="{kind: settling_time}") == (
+            "metrics.m: the metric 'settling_time' measures from the final value of the step response, and "
+            "the system's linear block has no static gain (b_0 = 0): score the whole model by "
+            "validation_error"
+        )
+        assert refused(BS="[1, 1]", METRIC="{kind: settling_time}") is None
+
+    def test_rounding_is_the_same_in_every_unit_of_time(self):
+        minutes, nanoseconds = (
+            ContinuousTransferFunction((1.0, 2.0 * unit), (3.0 * unit, 2.0 * unit**2)) for unit in (1.0, 6e10)
+        )
+        assert (minutes.static_gain(), nanoseconds.static_gain()) == (1.0, 1.0)
+        assert ContinuousTransferFunction((1e-17, 1.0), (3.0, 2.0)).static_gain() == 0.0
+        assert math.isinf(ContinuousTransferFunction((1e-17, 1.0), (3.0, 2.0)).settling_time())
+
     @pytest.mark.parametrize(
         "block",
         [
             ContinuousTransferFunction((0.0, 1.0), (3.0, 2.0)),
+            ContinuousTransferFunction((1e-17, 1.0), (3.0, 2.0)),
             TransferFunction(b=(0.0, 0.3, -0.1, -0.2), a=(0.5,)),
             TransferFunction(b=(1.0,), a=(1.5, -0.5)),
         ],
@@ -124,7 +144,8 @@ class TestStaticGain:
     )
     def test_gains_and_phases_are_relative_to_it(self, refused, metric):
         text = BLOCKS.replace("a: [1], b: BS", "a: [2, 1], b: BS")
-        assert "the system's input_linear has none (b_0 = 0)" in refused(text, BS="[0, 1]", METRIC=metric)
+        for b in ("[0, 1]", "[sin(pi), 1]"):
+            assert "the system's input_linear has none (b_0 = 0)" in refused(text, BS=b, METRIC=metric)
         assert refused(text, BS="[1]", METRIC=metric) is None
 
 

@@ -13,6 +13,8 @@ from hident.errors import ConfigError, EstimationError
 from hident.estimators.base import EstimatorSpec
 from hident.estimators.bilinear_models.ar_noise import METHODS, ArModel
 from hident.estimators.moving_horizon.transform.time_weighted import Horizons, Knots
+from hident.estimators.nonparametric.instrumental_variables import instrumental_variables
+from hident.estimators.nonparametric.least_squares import least_squares
 from hident.estimators.nonparametric.prefilter import FilteredRecord, prefilter
 from hident.linear_blocks import TransferFunction
 from hident.metrics.disturbance import DisturbanceVariance
@@ -146,6 +148,50 @@ def test_a_prefilter_undoes_the_block_in_each_experiment():
         EstimationError, match=r"^no experiment holds more than the 2 samples that the filter"
     ):
         prefilter(np.ones(4), block, joined([2, 2]))
+
+
+LEVELS = joined([2000, 2000, 2000])
+
+
+def at_two_levels(block):
+    """An input of two levels in three experiments, the block's output without noise, and what it filtered."""
+    rng = np.random.default_rng(5)
+    u = np.concatenate([rng.uniform(low, low + 2, 2000) for low in (-1, 4, -1)])
+    return u, in_each(LEVELS, block.filter, square(u)), square(u)
+
+
+ESTIMATORS = {
+    "least_squares": lambda u, y: least_squares(y, 2, LEVELS),
+    "instrumental_variables": lambda u, y: instrumental_variables(y, square(u), 2, parts=LEVELS),
+    "moving_average": lambda u, y: instrumental_variables(y, square(u), 2, 1, LEVELS),
+}
+
+
+@pytest.mark.parametrize("kind", ESTIMATORS)
+def test_experiments_of_different_levels_have_a_constant_each(kind):
+    b = (1.0, 0.4) if kind == "moving_average" else (1.0,)
+    u, y, w = at_two_levels(TransferFunction(b=b, a=(0.5, -0.2)))
+    found = ESTIMATORS[kind](u, y)
+    np.testing.assert_allclose(found.linear.a, [0.5, -0.2], atol=0.05)
+    np.testing.assert_allclose(found.linear.b, b, atol=0.05)
+    assert found.values["c"] == pytest.approx(w.mean(), rel=0.05)
+    offset = np.repeat([3.0, -20.0, 7.0], 2000)
+    other = ESTIMATORS[kind](u, y + offset)
+    np.testing.assert_allclose(other.linear.a, found.linear.a, rtol=1e-9)
+    np.testing.assert_allclose(other.linear.b, found.linear.b, rtol=1e-9)
+    steady = offset.mean() / found.linear.static_gain()
+    assert other.values["c"] - found.values["c"] == pytest.approx(steady, rel=1e-9)
+
+
+def test_a_prefilter_that_was_estimated_from_several_levels_leaves_the_characteristic():
+    u, y, _ = at_two_levels(TransferFunction(a=(0.5, -0.2)))
+    record = Record(u, y, parts={f"{p.start}": Part(p.start, p.stop, 1.0, Held(u[p], u[p])) for p in LEVELS})
+    kernel = {"kind": "kernel", "kernel": "gaussian", "bandwidth": {"h0": 0.1, "alpha": 0}}
+    estimator = Of("estimator").validate({**kernel, "prefilter": {"kind": "least_squares", "order": 2}})
+    found = estimator.fit(record)
+    points = np.array([-0.5, 0.0, 0.5, 4.5, 5.0, 5.5])
+    # Three standard errors of a_1 + a_2, which are 0.024 each, times the output's upper level, 25.
+    np.testing.assert_allclose(found.nonlinearity(points), square(points), atol=3 * 0.024 * 25)
 
 
 def test_the_disturbance_after_filtering_is_that_of_each_experiment():

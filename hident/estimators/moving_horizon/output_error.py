@@ -196,7 +196,7 @@ def refine_hammerstein(
         iteration does not settle.
     """
     require_finite(y)
-    if block.b[0] == 0.0:
+    if block.static_gain() == 0.0:
         raise EstimationError("the start has no static gain: its b_0 is zero")
     n = len(block.a)
 

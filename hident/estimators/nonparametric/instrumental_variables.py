@@ -3,7 +3,7 @@
 ======  ===================================================================================
 phi_k   regressors y_{k-1}, ..., y_{k-p}, 1
 psi_k   instruments m(u_{k-1-q}), ..., m(u_{k-p-q}), 1 (the paper: q = 0)
-theta   a_1, ..., a_p and the constant
+theta   a_1, ..., a_p and the constant; with several experiments, a 1 and a constant for each
 ======  ===================================================================================
 """
 
@@ -45,7 +45,8 @@ def instrumental_variables(
     Returns
     -------
     Estimate
-        The linear block B/A, the values ``a_1``, ..., ``a_p``, ``b_1``, ..., ``b_q`` and ``c`` = E w_k.
+        The linear block B/A, the values ``a_1``, ..., ``a_p``, ``b_1``, ..., ``b_q`` and ``c`` = E w_k, its
+        mean over all samples where the experiments differ in it.
 
     Raises
     ------
@@ -81,13 +82,14 @@ def instrumental_variables(
             "and even for an even one, or a lower order"
         )
     theta = np.linalg.solve(moments, psi @ now / psi_scale) / phi_scale
-    a, constant = theta[:p], float(theta[p])
+    a, constant = theta[:p], float(theta[p:] @ phi[p:].mean(axis=1))
 
     b = np.ones(1)
     if q:
         undone = now - a @ phi[:p]
-        undone -= undone.mean()
-        instruments = lagged(m, range(q + 1), start, parts)[:-1]
+        for row in phi[p:]:
+            undone[row > 0.0] -= undone[row > 0.0].mean()
+        instruments = lagged(m, range(q + 1), start, parts)[: q + 1]
         covariance = instruments @ undone
         if not abs(covariance[0]) > _UNCORRELATED * np.linalg.norm(instruments[0]) * np.linalg.norm(now):
             raise EstimationError(

@@ -9,7 +9,7 @@ import numpy as np
 from hident.config.spec import component
 from hident.estimators.base import EstimatorSpec, Experiments
 from hident.estimators.normalisation import Normalisation, first_coefficient
-from hident.linear_blocks import TransferFunction
+from hident.linear_blocks import TransferFunction, significant
 from hident.records import Estimate, Record
 from hident.systems.base import Coefficients, Numerator
 
@@ -39,7 +39,7 @@ class KnownDynamics(EstimatorSpec):
         return len(self.a) + 1
 
     def normalisations(self) -> tuple[Normalisation, ...]:
-        lag = next(i for i, b in enumerate(self.b) if b)
+        lag = int(np.flatnonzero(significant(self.b))[0])
         return (first_coefficient(lag, self.b[lag]),)
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:

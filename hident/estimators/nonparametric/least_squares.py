@@ -17,7 +17,7 @@ from hident.estimators.base import EstimatorSpec, Experiments, require_finite
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.linear_blocks import TransferFunction
 from hident.numerics.least_squares import Factorisation
-from hident.numerics.parts import Parts, in_each, longer_than, whole
+from hident.numerics.parts import Parts, following, in_each, longer_than, whole
 from hident.records import Estimate, Record
 
 # A residual this small, relative to the output, is rounding.
@@ -25,9 +25,10 @@ _ROUNDING = 1e-12
 
 
 def lagged(x: Array, lags: range, start: int, parts: Parts | None = None) -> Array:
-    """The rows x_{k-lag} for each lag, then a row of ones, at k = start, ..., N-1 of each experiment.
+    """The rows x_{k-lag} for each lag, at k = start, ..., N-1 of each experiment, then the constants.
 
-    ``x`` has shape (N,), the result (len(lags) + 1, N - start) for one experiment.
+    These are a row of ones for each experiment, zero in the others, whose levels may be others. ``x`` has
+    shape (N,), the result (len(lags) + 1, N - start) for one experiment.
 
     Raises
     ------
@@ -46,7 +47,13 @@ def lagged(x: Array, lags: range, start: int, parts: Parts | None = None) -> Arr
         raise EstimationError(
             f"no experiment holds more than {start} samples, and so far back the order looks"
         )
-    return in_each(long, rows_of, x, axis=1)
+    rows = in_each(long, rows_of, x, axis=1)
+    if len(long) == 1:
+        return rows
+    own = np.zeros((len(long), rows.shape[1]))
+    for row, part in zip(own, following(long, start), strict=True):
+        row[part] = 1.0
+    return np.vstack([rows[:-1], own])
 
 
 def dynamics(a: Array, b: Array, c: float) -> Estimate:
@@ -73,7 +80,7 @@ def require_irregular(u: Array, p: int, parts: Parts | None = None) -> None:
 
 
 def least_squares(y: Array, p: int, parts: Parts | None = None) -> Estimate:
-    """Fit y_k = a_1 y_{k-1} + ... + a_p y_{k-p} + c by least squares.
+    """Fit y_k = a_1 y_{k-1} + ... + a_p y_{k-p} + c by least squares, with a constant for each experiment.
 
     Parameters
     ----------
@@ -87,7 +94,8 @@ def least_squares(y: Array, p: int, parts: Parts | None = None) -> Estimate:
     Returns
     -------
     Estimate
-        The linear block with b = (1,), the values ``a_1``, ..., ``a_p`` and ``c``.
+        The linear block with b = (1,), the values ``a_1``, ..., ``a_p`` and ``c``, the mean of the
+        constants over the samples.
 
     Raises
     ------
@@ -104,13 +112,13 @@ def least_squares(y: Array, p: int, parts: Parts | None = None) -> Estimate:
     rows = lagged(y, range(p + 1), p, parts)
     now, phi = rows[0], rows[1:]
     regression = Factorisation.of(phi.T)
-    if phi.shape[1] <= p or regression.is_dependent:
+    if phi.shape[1] < len(phi) or regression.is_dependent:
         raise EstimationError(
             "the past outputs are linearly dependent: the output hardly varies, the record is too short, "
             f"or the order {p} is too high"
         )
     theta = regression.solution(now)
-    return dynamics(theta[:p], np.ones(1), float(theta[p]))
+    return dynamics(theta[:p], np.ones(1), float(theta[p:] @ phi[p:].mean(axis=1)))
 
 
 @component("estimator", "least_squares")

@@ -17,7 +17,7 @@ from hident.config.suggest import one_of
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_varying
 from hident.estimators.normalisation import Normalisation, first_coefficient
-from hident.linear_blocks import TransferFunction
+from hident.linear_blocks import TransferFunction, significant
 from hident.numerics.parts import Parts, in_each, longer_than, whole
 from hident.records import Estimate, Record
 
@@ -53,7 +53,7 @@ def prefilter(y: Array, linear: TransferFunction, parts: Parts | None = None) ->
     Differs from the paper: eq. (14) is summed from k = 1 and so takes the p outputs before the record as
     measured. An experiment has none, so its first p filtered samples are dropped and N - p remain.
     """
-    if linear.b[0] == 0.0:
+    if significant(linear.b)[0] == 0.0:
         raise EstimationError("the linear block has b_0 = 0: it delays its input and has no causal inverse")
     if not (long := longer_than(parts or whole(len(y)), len(linear.a))):
         raise EstimationError(

@@ -126,7 +126,7 @@ class IterativeWiener(IterativeSpec):
         rule = Rule(self.weight, self.tolerance, self.max_iterations)
         found = first_stage(wiener, self.nonlinearity, rule, self.start)
         settle(found.history.converged, found.iterations, self.unconverged)
-        if found.block.b[0] == 0.0:
+        if found.block.static_gain() == 0.0:
             raise EstimationError("the first stage's linear block has no static gain: its b_0 is zero")
         return found
 
