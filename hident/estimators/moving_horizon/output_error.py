@@ -10,6 +10,10 @@ J       derivative of the output by all parameters, shape (N, P)
 Beyond Chen, Hwang and Chang 2009, whose regression equations weigh the noise as the integral transform
 does: for white noise at the output, the minimum of the squared output error is the efficient estimate. It
 needs a start near it, such as theirs. Equation numbers are those of their paper.
+
+The criterion of a Wiener model has kinks where a sample of x lies on a bend of f. A minimum on a kink has no
+derivative that vanishes: the step does not shrink, and the criterion rises along it both ways. It is a
+minimum all the same, and so is accepted where the step is short; that the iteration stalled is said.
 """
 
 from __future__ import annotations
@@ -39,7 +43,7 @@ _MAX_ITERATIONS = 100
 _RESTS = 1e-4
 """Length of a step, in standard errors, up to which it does not matter."""
 _STALLS = 0.5
-"""The same where no step descends, as can be at a sample that lies on a bend of the nonlinearity."""
+"""The same where the minimum lies on a kink of the criterion."""
 _ROUNDING = 1e-12
 """Length of a step, as a change of the output relative to it, up to which it is rounding."""
 
@@ -50,6 +54,8 @@ class Refinement:
 
     ``coefficients`` are c (J,) or e_-2, e_-1, e_2; ``covariance`` (P, P) is that of a_1, ..., a_n, of b_1,
     ..., b_m (Hammerstein) or b_0, ..., b_m (Wiener), then of the coefficients; ``variance`` is the noise's.
+    ``left`` is the length of the step that is left at the end, in standard errors; ``stalled`` says that the
+    iteration ended on a kink of the criterion, where it is no measure of the distance to the minimum.
     """
 
     block: ContinuousTransferFunction
@@ -57,6 +63,8 @@ class Refinement:
     covariance: Array
     variance: float
     iterations: int
+    left: float
+    stalled: bool
 
     @property
     def standard_errors(self) -> Array:
@@ -153,27 +161,51 @@ def _descended(model: _Model, current: _Point, step: Array) -> _Point | None:
     return None
 
 
-def _gauss_newton(model: _Model, theta: Array, size: float) -> tuple[_Point, Array, int]:
+@dataclass(frozen=True, eq=False)
+class _End:
+    """Where an iteration ended: see :class:`Refinement`."""
+
+    point: _Point
+    covariance: Array
+    iterations: int
+    left: float
+    stalled: bool
+
+
+def _gauss_newton(model: _Model, theta: Array, size: float, *, kinks: bool) -> _End:
     """Minimise the squared residuals from ``theta`` (p,) for an output of norm ``size``.
 
-    Returns the last model, the covariance of its parameters, and the number of steps. Further columns of J
-    belong to parameters that the model solves for, and the step is then that of variable projection in
-    Kaufman's form.
+    Further columns of J belong to parameters that the model solves for, and the step is then that of variable
+    projection in Kaufman's form. ``kinks`` says that the criterion may have some.
     """
     current = model(theta)
     if current is None:
         raise EstimationError("the start is unstable, or a slope is not positive")
     for iteration in range(_MAX_ITERATIONS):
         solved = _solved(current.jacobian, current.residuals)
+        step = solved.solution[: len(theta)]
         length, error = float(np.linalg.norm(solved.projected)), float(np.sqrt(current.variance))
         rests = length <= max(_RESTS * error, _ROUNDING * size)
-        new = None if rests else _descended(model, current, solved.solution[: len(theta)])
+        new = None if rests else _descended(model, current, step)
         if new is None:
-            if not rests and length > _STALLS * error:
+            stalled = not rests
+            if stalled and not (
+                kinks and length <= _STALLS * error and _descended(model, current, -step) is None
+            ):
                 raise EstimationError(f"no step lowers the output error after {iteration} steps")
-            return current, current.variance * solved.inverse @ solved.inverse.T, iteration
+            covariance = current.variance * solved.inverse @ solved.inverse.T
+            left = length / error if error else 0.0
+            return _End(current, covariance, iteration, left, stalled)
         current = new
     raise EstimationError(f"the output error did not settle in {_MAX_ITERATIONS} steps")
+
+
+def _refinement(block: ContinuousTransferFunction | None, end: _End) -> Refinement:
+    assert block is not None  # it is that of a model
+    point = end.point
+    return Refinement(
+        block, point.coefficients, end.covariance, point.variance, end.iterations, end.left, end.stalled
+    )
 
 
 def refine_hammerstein(
@@ -227,10 +259,8 @@ def refine_hammerstein(
         return _Point(theta, c, y - responses @ c, np.hstack([outer, responses]))
 
     start = np.concatenate((block.a, np.array(block.b[1:]) / block.b[0]))
-    found, covariance, iterations = _gauss_newton(model, start, float(np.linalg.norm(y)))
-    refined = unpacked(found.theta)
-    assert refined is not None
-    return Refinement(refined, found.coefficients, covariance, found.variance, iterations)
+    end = _gauss_newton(model, start, float(np.linalg.norm(y)), kinks=False)
+    return _refinement(unpacked(end.point.theta), end)
 
 
 def refine_wiener(
@@ -281,7 +311,5 @@ def refine_wiener(
         return _Point(theta, e, y - forward(x, e, *points), jacobian)
 
     start = np.array([*block.a, *block.b, *nonlinearity.e])
-    found, covariance, iterations = _gauss_newton(model, start, float(np.linalg.norm(y)))
-    refined = _stable(found.theta[:n], found.theta[n:p], block.delay)
-    assert refined is not None
-    return Refinement(refined, found.coefficients, covariance, found.variance, iterations)
+    end = _gauss_newton(model, start, float(np.linalg.norm(y)), kinks=True)
+    return _refinement(_stable(end.point.theta[:n], end.point.theta[n:p], block.delay), end)
