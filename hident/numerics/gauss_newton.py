@@ -49,6 +49,20 @@ class Minimum(Generic[P]):
     """The change of the model's output that the last step promised."""
 
 
+def descended(
+    point: P, step: Array, moved: Callable[[P, Array], P | None], slack: float = 0.0
+) -> tuple[P | None, int]:
+    """The first model along the halved steps with a lower loss, or None, and how many were tried.
+
+    The parameters are those of :func:`gauss_newton`.
+    """
+    for halving in range(_HALVINGS):
+        new = moved(point, 0.5**halving * step)
+        if new is not None and new.loss < point.loss + slack:
+            return new, halving + 1
+    return None, _HALVINGS
+
+
 def gauss_newton(
     start: P,
     moved: Callable[[P, Array], P | None],
@@ -92,13 +106,9 @@ def gauss_newton(
             return ended("converged")
         if iteration == max_iterations:
             return ended("exhausted")
-        step = factors.solution(point.residuals)
-        for halving in range(_HALVINGS):
-            new = moved(point, 0.5**halving * step)
-            evaluations += 1
-            if new is not None and new.loss < point.loss + slack:
-                break
-        else:
+        new, tried = descended(point, factors.solution(point.residuals), moved, slack)
+        evaluations += tried
+        if new is None:
             return ended("converged" if rest else "stalled")
         point = new
         if rest:

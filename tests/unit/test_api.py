@@ -136,11 +136,15 @@ def test_any_executor_gives_the_same_numbers(results):
             "estimator 'cramer_rao' needs the linear of the truth, which is not there (it has none)",
         ),
         (
-            lambda: hi.score(hi.Estimate(values={"a_1": 1}), hi.Record([1], [2]), a=hi.Error(of=["a_1"])),
+            lambda: hi.score(
+                hi.Estimate(values={"a_1": 1}), hi.Record(np.ones(1), np.ones(1)), a=hi.Error(of=["a_1"])
+            ),
             "a: the metric 'error' needs the value a_1 of the truth, which is not there (it has none)",
         ),
         (
-            lambda: hi.score(hi.Estimate(values={"a_1": 1}), hi.Record([1], [2]), b=hi.Value(of=["b_1"])),
+            lambda: hi.score(
+                hi.Estimate(values={"a_1": 1}), hi.Record(np.ones(1), np.ones(1)), b=hi.Value(of=["b_1"])
+            ),
             "b: the metric 'value' needs the value b_1 of the estimate, which is not there "
             "(it has: value a_1)",
         ),

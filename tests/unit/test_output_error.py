@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hident.errors import EstimationError
+from hident.estimators.moving_horizon import output_error
 from hident.estimators.moving_horizon.output_error import refine_hammerstein, refine_wiener, sensitivities
 from hident.estimators.moving_horizon.wiener.four_segment import (
     FourSegment,
@@ -136,6 +137,56 @@ class TestDerivatives:
         step = np.linalg.lstsq(np.hstack([by_block, by_c]), residuals, rcond=None)[0]
         assert np.max(np.abs(step) / found.standard_errors) < 1e-3
         assert found.variance == pytest.approx(residuals @ residuals / (1000 - 8))
+
+
+class TestWhereTheIterationEnds:
+    @staticmethod
+    def data(seed):
+        u = held(600, seed=seed)
+        y = BENT(BLOCK.scaled(2.0).respond(u, DT))
+        return u, y + noise(y, seed)
+
+    @staticmethod
+    def loss(u, y, at):
+        block = ContinuousTransferFunction(tuple(at[3:5]), tuple(at[:3]), BLOCK.delay)
+        function = replace(BENT, e=tuple(at[5:]), gain=1.0)
+        return np.sum((y - function(block.respond(u, DT))) ** 2)
+
+    def test_at_rest(self):
+        u, y = self.data(0)
+        found = refine_wiener(u, y, NEAR_BLOCK.scaled(1.7), NEAR_BENT, DT)
+        assert not found.stalled
+        assert found.left <= 1e-4
+        assert refine_hammerstein(basis(u), y, NEAR_BLOCK, DT).left <= 1e-4
+
+    @pytest.mark.parametrize("seed", [40, 41])
+    def test_on_a_kink(self, seed):
+        u, y = self.data(seed)
+        found = refine_wiener(u, y, NEAR_BLOCK.scaled(1.7), NEAR_BENT, DT)
+        assert found.stalled
+        assert 1e-4 < found.left <= 0.5
+        # A minimum all the same: the loss rises along each parameter, both ways.
+        at = parameters(found, 0)
+        least = self.loss(u, y, at)
+        for step in np.diag(1e-2 * found.standard_errors):
+            assert self.loss(u, y, at + step) > least
+            assert self.loss(u, y, at - step) > least
+
+    @pytest.mark.parametrize("kind", ["hammerstein", "wiener"])
+    def test_a_wrong_derivative_does_not_pass_for_a_minimum(self, kind, monkeypatch):
+        u, y = self.data(0)
+
+        def fit(block, bent):
+            if kind == "hammerstein":
+                return refine_hammerstein(basis(u), y, block, DT)
+            return refine_wiener(u, y, block, bent, DT)
+
+        found = fit(NEAR_BLOCK.scaled(1.7), NEAR_BENT)
+        near = replace(found.block, a=tuple(found.block.a + 0.1 * found.standard_errors[:3]))
+        bent = replace(BENT, e=tuple(found.coefficients[-3:].tolist()))
+        monkeypatch.setattr(output_error, "sensitivities", lambda *given: -sensitivities(*given))
+        with pytest.raises(EstimationError, match=r"^no step lowers the output error after \d+ steps$"):
+            fit(near, bent)
 
 
 def test_four_segments_invert_the_inverse():

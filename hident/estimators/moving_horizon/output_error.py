@@ -10,6 +10,10 @@ J       derivative of the output by all parameters, shape (N, P)
 Beyond Chen, Hwang and Chang 2009, whose regression equations weigh the noise as the integral transform
 does: for white noise at the output, the minimum of the squared output error is the efficient estimate. It
 needs a start near it, such as theirs. Equation numbers are those of their paper.
+
+The criterion of a Wiener model has kinks where a sample of x lies on a bend of f. A minimum on a kink has no
+derivative that vanishes: the step does not shrink, and the criterion rises along it both ways. It is a
+minimum all the same, and so is accepted where the step is short; that the iteration stalled is said.
 """
 
 from __future__ import annotations
@@ -30,7 +34,7 @@ from hident.estimators.moving_horizon.wiener.four_segment import (
     forward_slope,
 )
 from hident.linear_blocks import ContinuousTransferFunction
-from hident.numerics.gauss_newton import gauss_newton
+from hident.numerics.gauss_newton import descended, gauss_newton
 from hident.numerics.least_squares import Factorisation
 from hident.numerics.parts import Parts
 
@@ -42,7 +46,7 @@ _DEPENDENT = (
 _RESTS = 1e-4
 """Length of a step, in standard errors, up to which it does not matter."""
 _STALLS = 0.5
-"""The same where no step descends, as can be at a sample that lies on a bend of the nonlinearity."""
+"""The same where the minimum lies on a kink of the criterion."""
 _ROUNDING = 1e-12
 """Length of a step, as a change of the output relative to it, up to which it is rounding."""
 
@@ -53,6 +57,8 @@ class Refinement:
 
     ``coefficients`` are c (J,) or e_-2, e_-1, e_2; ``covariance`` (P, P) is that of a_1, ..., a_n, of b_1,
     ..., b_m (Hammerstein) or b_0, ..., b_m (Wiener), then of the coefficients; ``variance`` is the noise's.
+    ``left`` is the length of the step that is left at the end, in standard errors; ``stalled`` says that the
+    iteration ended on a kink of the criterion, where it is no measure of the distance to the minimum.
     """
 
     block: ContinuousTransferFunction
@@ -60,6 +66,8 @@ class Refinement:
     covariance: Array
     variance: float
     iterations: int
+    left: float
+    stalled: bool
 
     @property
     def standard_errors(self) -> Array:
@@ -130,10 +138,21 @@ def _stable(a: Array, b: Array, delay: float) -> ContinuousTransferFunction | No
     return block if block.is_stable() else None
 
 
-def _minimised(model: _Model, theta: Array, size: float) -> tuple[_Point, Array, int]:
+@dataclass(frozen=True, eq=False)
+class _End:
+    """Where an iteration ended: see :class:`Refinement`."""
+
+    point: _Point
+    covariance: Array
+    iterations: int
+    left: float
+    stalled: bool
+
+
+def _minimised(model: _Model, theta: Array, size: float, *, kinks: bool) -> _End:
     """Minimise the squared residuals from ``theta`` (p,) for an output of norm ``size``.
 
-    Returns the last model, the covariance of its parameters, and the number of steps.
+    ``kinks`` says that the criterion may have some.
     """
     current = model(theta)
     if current is None:
@@ -142,24 +161,39 @@ def _minimised(model: _Model, theta: Array, size: float) -> tuple[_Point, Array,
     if rows <= columns:
         raise EstimationError(f"{rows} samples cannot determine {columns} parameters")
 
-    def error(point: _Point) -> float:
-        return float(np.sqrt(point.variance))
+    def moved(point: _Point, step: Array) -> _Point | None:
+        return model(point.theta + step[: len(theta)])
 
     found = gauss_newton(
         current,
-        lambda point, step: model(point.theta + step[: len(theta)]),
-        lambda point, length: length <= max(_RESTS * error(point), _ROUNDING * size),
+        moved,
+        lambda point, length: length <= max(_RESTS * float(np.sqrt(point.variance)), _ROUNDING * size),
         max_iterations=_MAX_ITERATIONS,
     )
+    point, factors = found.point, found.factors
+    error = float(np.sqrt(point.variance))
     match found.status:
         case "singular":
             raise EstimationError(_DEPENDENT.format(columns))
         case "exhausted":
             raise EstimationError(f"the output error did not settle in {_MAX_ITERATIONS} steps")
-        case "stalled" if found.length > _STALLS * error(found.point):
-            raise EstimationError(f"no step lowers the output error after {found.iterations} steps")
-    root = found.factors.inverse_root
-    return found.point, found.point.variance * root @ root.T, found.iterations
+        case "stalled":
+            back = -factors.solution(point.residuals)
+            on_a_kink = kinks and found.length <= _STALLS * error and descended(point, back, moved)[0] is None
+            if not on_a_kink:
+                raise EstimationError(f"no step lowers the output error after {found.iterations} steps")
+    root = factors.inverse_root
+    left = found.length / error if error else 0.0
+    covariance = point.variance * root @ root.T
+    return _End(point, covariance, found.iterations, left, found.status == "stalled")
+
+
+def _refinement(block: ContinuousTransferFunction | None, end: _End) -> Refinement:
+    assert block is not None  # it is that of a model
+    point = end.point
+    return Refinement(
+        block, point.coefficients, end.covariance, point.variance, end.iterations, end.left, end.stalled
+    )
 
 
 def refine_hammerstein(
@@ -213,10 +247,8 @@ def refine_hammerstein(
         return _Point(theta, c, y - responses @ c, np.hstack([outer, responses]))
 
     start = np.concatenate((block.a, np.array(block.b[1:]) / block.b[0]))
-    found, covariance, iterations = _minimised(model, start, float(np.linalg.norm(y)))
-    refined = unpacked(found.theta)
-    assert refined is not None
-    return Refinement(refined, found.coefficients, covariance, found.variance, iterations)
+    end = _minimised(model, start, float(np.linalg.norm(y)), kinks=False)
+    return _refinement(unpacked(end.point.theta), end)
 
 
 def refine_wiener(
@@ -267,7 +299,5 @@ def refine_wiener(
         return _Point(theta, e, y - forward(x, e, *points), jacobian)
 
     start = np.array([*block.a, *block.b, *nonlinearity.e])
-    found, covariance, iterations = _minimised(model, start, float(np.linalg.norm(y)))
-    refined = _stable(found.theta[:n], found.theta[n:p], block.delay)
-    assert refined is not None
-    return Refinement(refined, found.coefficients, covariance, found.variance, iterations)
+    end = _minimised(model, start, float(np.linalg.norm(y)), kinks=True)
+    return _refinement(_stable(end.point.theta[:n], end.point.theta[n:p], block.delay), end)

@@ -41,7 +41,13 @@ def _refinable(start: EstimatorSpec) -> EstimatorSpec:
 
 @component("estimator", "output_error")
 class OutputError(EstimatorSpec):
-    """The two-stage estimate, refined to the least squared error of the simulated output."""
+    """The two-stage estimate, refined to the least squared error of the simulated output.
+
+    Values besides the parameters and their se_: iterations; step_left, the length of the step that is left,
+    in standard errors; converged, 0 where it is longer than 0.0001 because the minimum lies on a kink of
+    the criterion (Wiener only: a sample on a bend of the nonlinearity). Such an estimate does not count as
+    failed, since it is a minimum. An iteration that ends anywhere else fails.
+    """
 
     start: Annotated[IterativeSpec, Of("estimator"), AfterValidator(_refinable)]
     """The estimate to start from: iterative_hammerstein or iterative_wiener."""
@@ -76,7 +82,8 @@ class OutputError(EstimatorSpec):
 
     def provides(self) -> frozenset[str]:
         names = self._names()
-        values = {f"value {name}" for name in (*names, *(f"se_{name}" for name in names), "iterations")}
+        names += [*(f"se_{name}" for name in names), "iterations", "converged", "step_left"]
+        values = {f"value {name}" for name in names}
         return frozenset({"nonlinearity", "continuous", "response"} | values)
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
@@ -116,4 +123,6 @@ class OutputError(EstimatorSpec):
             **dict(zip(names, parameters, strict=True)),
             **dict(errors),
             "iterations": float(found.iterations),
+            "converged": float(not found.stalled),
+            "step_left": found.left,
         }
