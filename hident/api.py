@@ -181,7 +181,7 @@ def fit(estimator: EstimatorSpec | Written, record: Record, *, seed: int = 1, tr
     >>> kernel = hi.Kernel(kernel="gaussian", bandwidth={"h0": 0.5, "alpha": "1/5"})
     >>> hi.fit(kernel, record).nonlinearity(np.linspace(-1, 1, 3)).shape
     (3,)
-    >>> hi.fit(kernel, hi.Record([], []))
+    >>> hi.fit(kernel, hi.Record(np.zeros(0), np.zeros(0)))
     Traceback (most recent call last):
         ...
     hident.errors.ConfigError: estimator 'kernel' needs at least 1 samples, and the record has 0

@@ -125,7 +125,7 @@ class Record:
 
     Examples
     --------
-    >>> record = Record([0, 1, 2], [0.1, 0.9, 2.2], dt=0.5)
+    >>> record = Record(np.arange(3.0), np.array([0.1, 0.9, 2.2]), dt=0.5)
     >>> len(record), record.y
     (3, array([0.1, 0.9, 2.2]))
     """
