@@ -11,7 +11,7 @@ import numpy as np
 from hident.arrays import Array
 from hident.numerics.least_squares import Factorisation
 
-_HALVINGS = 40
+_HALVINGS = 30
 
 Status = Literal["converged", "stalled", "exhausted", "singular"]
 """How it ended: at rest, no step lowers the loss, no iteration is left, the Jacobian is singular."""
