@@ -216,10 +216,10 @@ def _strip_docstring(node: ast.AST) -> None:
         ]
 
 
-def _folders(package: str) -> list[str | Path]:
+def _folders(package: str) -> list[str]:
     """The folder of a package, or that of a module that is none."""
     path = _path(package)
-    return list(_file_and_folders(package)[1] or ([path.parent] if path else []))
+    return list(_file_and_folders(package)[1] or ([str(path.parent)] if path else []))
 
 
 def _path(module: str) -> Path | None:
