@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from hident.config.suggest import did_you_mean, one_of
-from hident.config.yaml12 import LARGEST, Complaint, Location, Place, Reader, error_of, shown, spelled
+from hident.config.yaml12 import LARGEST, MERGE, Complaint, Location, Place, Reader, error_of, shown, spelled
 from hident.errors import ConfigError
 
 _ABSENT = object()
@@ -61,9 +61,14 @@ class Document:
         return Document(self.name, data, self.places, {**patches, location: place}, self.complaints)
 
     def complaints_of(self, problems: Iterable[Problem]) -> list[Complaint]:
-        """The problems in words, each with its place and key path."""
+        """The problems in words, each with its place and key path.
+
+        What is missing beside a merge that cannot be read is no problem of its own.
+        """
         found = []
         for problem in problems:
+            if problem.message.startswith("is required") and (*problem.location[:-1], MERGE) in self.places:
+                continue
             place = self.place(problem.location)
             # What was written in Python is no file.
             at = spelled(problem.location) or ("file" if self.places else "")

@@ -26,7 +26,7 @@ _HEX = re.compile(r"0x[0-9a-fA-F]+\Z")
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?\Z")
 _INFINITE = re.compile(r"([-+]?)\.(?:inf|Inf|INF)\Z")
 _NAN = re.compile(r"\.(?:nan|NaN|NAN)\Z")
-_MERGE = "<<"
+MERGE = "<<"
 _DEEPEST = 50
 _MOST_VALUES = 200_000
 _MOST_DIGITS = 250
@@ -191,11 +191,15 @@ class Reader:
                 continue
             lines[key] = key_node.start_mark.line + 1
             # In quotation marks it is a key like any other.
-            if key == _MERGE and key_node.style is None:
+            if key == MERGE and key_node.style is None:
+                sound = len(self.complaints)
                 for merged in self._merged(value_node, (*location, key), inside):
                     for name, pair in merged.items():
                         self._count(value_node)
                         pairs.setdefault(name, pair)
+                if len(self.complaints) > sound:
+                    # It has a place where it cannot be read: what is missing beside it may be in it.
+                    self.places[(*location, key)] = self._place(key_node.start_mark.line)
             else:
                 pairs[key] = (key_node, value_node)
         return pairs

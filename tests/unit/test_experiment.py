@@ -326,6 +326,18 @@ class TestMessages:
             f"a.yaml:19: cases.seed: a case cannot change 'seed' ({CHANGEABLE}), and nothing uses '$seed'",
         ]
 
+    @pytest.mark.parametrize(
+        ("merge", "said"),
+        [
+            ("3", "10: noise.<<: must be a mapping whose keys are merged, or a list of such"),
+            ("*self", "9: noise.<<: an anchor cannot contain itself"),
+            ("[{distribution: normal}, *self]", "9: noise.<<[1]: an anchor cannot contain itself"),
+        ],
+    )
+    def test_what_a_bad_merge_leaves_out_is_not_told_beside_it(self, refused, merge, said):
+        (noise,) = (line for line in BASE.splitlines() if line.startswith("noise:"))
+        assert refused(with_((noise, f"noise: &self\n  <<: {merge}"))) == [f"a.yaml:{said}"]
+
     def test_a_value_in_a_case_is_told_at_its_own_line(self, refused):
         text = with_(
             more="cases:\n"

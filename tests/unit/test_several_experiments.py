@@ -1,7 +1,6 @@
 """Several experiments in one record: nothing that looks back in time reaches from one into another."""
 
 import re
-from typing import Any
 
 import numpy as np
 import pytest
@@ -172,12 +171,14 @@ ESTIMATORS = {
 def test_experiments_of_different_levels_have_a_constant_each(kind):
     b = (1.0, 0.4) if kind == "moving_average" else (1.0,)
     u, y, w = at_two_levels(TransferFunction(b=b, a=(0.5, -0.2)))
-    found: Any = ESTIMATORS[kind](u, y)
+    found = ESTIMATORS[kind](u, y)
+    assert found.linear is not None
     np.testing.assert_allclose(found.linear.a, [0.5, -0.2], atol=0.05)
     np.testing.assert_allclose(found.linear.b, b, atol=0.05)
     assert found.values["c"] == pytest.approx(w.mean(), rel=0.05)
     offset = np.repeat([3.0, -20.0, 7.0], 2000)
-    other: Any = ESTIMATORS[kind](u, y + offset)
+    other = ESTIMATORS[kind](u, y + offset)
+    assert other.linear is not None
     np.testing.assert_allclose(other.linear.a, found.linear.a, rtol=1e-9)
     np.testing.assert_allclose(other.linear.b, found.linear.b, rtol=1e-9)
     steady = offset.mean() / found.linear.static_gain()
@@ -188,8 +189,10 @@ def test_a_prefilter_that_was_estimated_from_several_levels_leaves_the_character
     u, y, _ = at_two_levels(TransferFunction(a=(0.5, -0.2)))
     record = Record(u, y, parts={f"{p.start}": Part(p.start, p.stop, 1.0, Held(u[p], u[p])) for p in LEVELS})
     kernel = {"kind": "kernel", "kernel": "gaussian", "bandwidth": {"h0": 0.1, "alpha": 0}}
-    estimator: Any = Of("estimator").validate({**kernel, "prefilter": {"kind": "least_squares", "order": 2}})
+    estimator = Of("estimator").validate({**kernel, "prefilter": {"kind": "least_squares", "order": 2}})
+    assert isinstance(estimator, EstimatorSpec)
     found = estimator.fit(record)
+    assert found.nonlinearity is not None
     points = np.array([-0.5, 0.0, 0.5, 4.5, 5.0, 5.5])
     # Three standard errors of a_1 + a_2, which are 0.024 each, times the output's upper level, 25.
     np.testing.assert_allclose(found.nonlinearity(points), square(points), atol=3 * 0.024 * 25)
