@@ -170,8 +170,10 @@ def found(config: str, results: Path = RESULTS) -> list[str]:
     reference = TrialValues.decoded((accepted / TRIALS).read_bytes())
     sensitivity = Sensitivity.decoded((accepted / SENSITIVITY).read_bytes())
     compared = TrialComparison(ours, reference, RTOL, None if _same_arithmetic(accepted) else sensitivity)
-    moved = compared.moved(CHANCE / max(len(compared.units), 1))
-    return [*compared.unmatched(), *(unit.said for unit in moved if not unit.allowed)]
+    chance = CHANCE / max(len(compared.units), 1)
+    too_many = [text] if (text := compared.too_many_together(chance, CHANCE)) else []
+    moved = [unit.said for unit in compared.moved(chance) if not unit.allowed]
+    return [*compared.unmatched(), *moved, *too_many]
 
 
 def _same_arithmetic(accepted: Path) -> bool:

@@ -28,7 +28,10 @@ from hident.ledger.trial_comparison import TrialComparison, follows
 from hident.ledger.trial_values import Key, TrialValues
 
 CHANCE = 0.01
-"""That a comparison of sound results finds, in any of its units, more moved trials than likely."""
+"""That a comparison of sound results finds, in any of its units, more moved trials than likely.
+
+The same again in any of its configurations, among the units of few trials taken together.
+"""
 _TABLE = "table.csv"
 # What run.json says of the number of trials.
 _OF_TRIALS = ("experiment.trials ", "experiment.hash ", "experiment.resolved.trials ")
@@ -105,7 +108,7 @@ def _compare(
     found, absent = _Found(), []
     for name in sorted(names):
         if name in pairs:
-            pairs[name].judge(CHANCE / max(units, 1), found)
+            pairs[name].judge(CHANCE / max(units, 1), CHANCE / len(pairs), found)
         elif not _files(reference / name):
             found.differences.append(f"{name}: not accepted yet; hident accept {name}")
         else:
@@ -163,8 +166,12 @@ class _Pair:
         self._title = reference.resolve().name
         self.trials = self._compared_trials()
 
-    def judge(self, chance: float, found: _Found) -> None:
-        """Add what the configuration differs in; ``chance`` is that of more moved trials than likely."""
+    def judge(self, chance: float, together: float, found: _Found) -> None:
+        """Add what the configuration differs in.
+
+        ``chance`` is that of more moved trials than likely in a unit, ``together`` that in units of few
+        trials taken together.
+        """
         differences = [
             f"{name}: {whose}altered since it was written"
             for folder, whose in ((self._ours, ""), (self._reference, "the reference was "))
@@ -180,14 +187,17 @@ class _Pair:
                 f"{self._title}: {count} trials, reference {wanted}: --partial compares those of both"
             )
             return
-        for line, counts in self._judged(self.trials, chance):
+        for line, counts in self._judged(self.trials, chance, together):
             (found.differences if counts else found.allowed).append(f"{self._title}{line}")
 
-    def _judged(self, trials: TrialComparison, chance: float) -> Iterator[tuple[str, bool]]:
+    def _judged(self, trials: TrialComparison, chance: float, together: float) -> Iterator[tuple[str, bool]]:
         """What differs, and whether it counts as a difference."""
         yield from ((f": {line}", True) for line in sorted(trials.unmatched()))
         moved = list(trials.moved(chance))
         yield from ((f": {unit.said}", not unit.allowed) for unit in moved)
+        too_many = trials.too_many_together(chance, together)
+        if too_many:
+            yield f": {too_many}", True
         yield from ((f"/{line}", True) for line in self._table(trials))
         run = self._lines({RUN})
         if trials.ours.trials != trials.reference.trials:
@@ -198,7 +208,8 @@ class _Pair:
         if moved and others:
             # What follows from the trials is told by its name alone.
             names = ", ".join(sorted({line.partition(": ")[0] for line in others}))
-            yield f": {names}: as these trials give", not all(unit.allowed for unit in moved)
+            may = all(unit.allowed for unit in moved) and not too_many
+            yield f": {names}: as these trials give", not may
             others = []
         yield from ((f"/{line}", True) for line in (*run, *others))
 

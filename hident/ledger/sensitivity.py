@@ -32,6 +32,9 @@ class Count:
     perturbed: int
     moved: int
 
+    def __add__(self, other: Count) -> Count:
+        return Count(self.trials + other.trials, self.perturbed + other.perturbed, self.moved + other.moved)
+
     def likely(self, trials: int, chance: float) -> int:
         """How many of so many trials may move on another arithmetic: more has at most this chance.
 

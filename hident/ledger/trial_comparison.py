@@ -84,6 +84,27 @@ class TrialComparison:
                 text += f"; all others {_equal(max(d.largest for d in series.values()))}"
             yield Moved("\n    ".join([text, *self._cells(series)]), allowed)
 
+    def too_many_together(self, chance: float, together: float) -> str:
+        """What to say if the units that may move in all their trials moved more than is likely; else empty.
+
+        A unit of few trials may move in all of them, at any ``chance`` that is small, but all such units of
+        one configuration hardly do: more than likely by the chance ``together`` is too many.
+        """
+        few, moved, total = 0, 0, Count(0, 0, 0)
+        for unit, series in self.units.items():
+            which = np.any([d.moved for d in series.values()], axis=0)
+            count = self.sensitivity.counts.get(unit) if self.sensitivity else None
+            if count is None or not count.perturbed or count.likely(len(which), chance) < len(which):
+                continue
+            few, moved, total = few + len(which), moved + int(which.sum()), total + count
+        most = total.likely(few, together)
+        if moved <= most:
+            return ""
+        return (
+            f"the units that may move in all their trials did so in {moved} of {few}; their stored shares "
+            f"together, {total.moved} of {total.perturbed}, make up to {most} likely"
+        )
+
     def _cells(self, series: Mapping[Key, Difference]) -> Iterator[str]:
         """The rows of table.csv that moved, with the old and the new values."""
         moved = [key for key, d in series.items() if d.moved.any()]

@@ -141,6 +141,29 @@ def test_more_trials_than_are_likely_are_a_difference(bench: Bench, moved: int, 
     assert found.allowed == ()
 
 
+@pytest.mark.parametrize("shifted", [1, 4])
+def test_units_of_one_trial_do_not_all_move(bench: Bench, shifted: int) -> None:
+    bench.plain = bench.run(trials=1)
+    write(bench.plain, bench.out / "tiny", {})
+    bench.accept(perturbed=2)
+    units = list(dict.fromkeys(str(series.unit) for series in bench.plain.series))
+    assert len(units) == 4
+    moved = [replace(s, values=s.values + 0.3 * (str(s.unit) in units[:shifted])) for s in bench.plain.series]
+    write(replace(bench.plain, series=tuple(moved)), bench.out / "tiny", {})
+    bench.foreign()
+    found = bench.compare()
+    assert sum("took another branch" in line for line in found.allowed) == shifted
+    if shifted == 1:
+        assert found.differences == ()
+        return
+    most = Count(0, 8, 0).likely(4, 0.01)
+    assert found.differences == (
+        "tiny: the units that may move in all their trials did so in 4 of 4; "
+        f"their stored shares together, 0 of 8, make up to {most} likely",
+        "tiny: table.md: as these trials give",
+    )
+
+
 def test_where_no_share_is_stored_none_may_move(bench: Bench) -> None:
     accept(bench.out / "tiny", bench.results)
     bench.again(_branch(5), foreign=True)
