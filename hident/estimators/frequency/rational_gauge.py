@@ -152,7 +152,9 @@ class _Problem:
         """
         from scipy.optimize import least_squares
 
-        found, costs, said = [], [], []
+        found: list[Array] = []
+        costs: list[float] = []
+        said: list[str] = []
         for tried, start in enumerate(self.starts()):
             if tried >= _TRIED and chi_squared.fits(min(costs), self.freedom, chi_squared.LIKELY):
                 break
