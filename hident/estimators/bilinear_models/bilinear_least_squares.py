@@ -88,7 +88,10 @@ def bilinear_least_squares(
     Notes
     -----
     Wang, Zhang, Ljung 2009, eq. (10). The data enter as R and Q'F y only, so a step takes (n m)^2
-    operations whatever the number of samples.
+    operations whatever the number of samples. The criterion has local minima, and no test tells one: of 150
+    random systems (n = 6, m = 3, 60 or 200 samples of white noise) the minimum found from the two-stage
+    estimate was never one where signal and noise have equal power, and 8 times where the noise has ten times
+    that of the signal.
     """
     r, z = regression.r, regression.projected(y)
 

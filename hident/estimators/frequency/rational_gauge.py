@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,9 @@ from hident.estimators.frequency import chi_squared
 from hident.estimators.frequency.gauge import FrequencyGrid, Phases
 from hident.numerics.choices import first_least
 
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
+
 Complex = NDArray[np.complex128]
 Orders = tuple[int, int]
 """Degrees (m, n) of a block's numerator and denominator."""
@@ -22,7 +26,9 @@ Orders = tuple[int, int]
 # any case, and the others as long as none fits: blocks with zeros have many local minima.
 _STARTS = np.geomspace(0.03, 30.0, 13)
 _TRIED = 4
-_TOLERANCE = 1e-11
+# Relative to chi^2: next to nothing in standard errors, unless the blocks do not fit.
+_TOLERANCE = 1e-8
+_FINER = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,31 +156,38 @@ class _Problem:
         EstimationError
             If no fit converges.
         """
-        from scipy.optimize import least_squares
-
-        found, said = [], []
+        fits: list[OptimizeResult] = []
         costs: list[float] = []
         for tried, start in enumerate(self.starts()):
-            if tried >= _TRIED and chi_squared.fits(min(costs), self.freedom, chi_squared.LIKELY):
+            if tried >= _TRIED and self._is_met(min(costs)):
                 break
-            fit = least_squares(
-                self.residuals,
-                start,
-                self.jacobian,
-                method="lm",
-                x_scale="jac",
-                xtol=_TOLERANCE,
-                ftol=_TOLERANCE,
-                gtol=_TOLERANCE,
-            )
-            converged = fit.success and np.isfinite(fit.cost)
-            found.append(fit.x)
-            costs.append(2.0 * float(fit.cost) if converged else np.inf)
-            said.append(fit.message)
+            fits.append(fit := self._minimised(start, _TOLERANCE))
+            costs.append(2.0 * float(fit.cost) if fit.success and np.isfinite(fit.cost) else np.inf)
         if not np.any(np.isfinite(costs)):
-            raise EstimationError(f"the rational blocks do not converge from any start: {said[0]}")
+            raise EstimationError(f"the rational blocks do not converge from any start: {fits[0].message}")
         best = first_least(costs)
-        return found[best], costs[best]
+        found: Array = fits[best].x
+        if self._is_met(costs[best]):
+            return found, costs[best]
+        finer = self._minimised(found, _FINER)
+        return finer.x, 2.0 * float(finer.cost)
+
+    def _is_met(self, chi2: float) -> bool:
+        return chi_squared.fits(chi2, self.freedom, chi_squared.LIKELY)
+
+    def _minimised(self, start: Array, tolerance: float) -> OptimizeResult:
+        from scipy.optimize import least_squares
+
+        return least_squares(
+            self.residuals,
+            start,
+            self.jacobian,
+            method="lm",
+            x_scale="jac",
+            xtol=tolerance,
+            ftol=tolerance,
+            gtol=tolerance,
+        )
 
 
 def _multiple_pole(zeros: int, poles: int, at: float) -> Array:
