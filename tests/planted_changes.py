@@ -109,9 +109,9 @@ PLANTS = (
     ),
     Plant(
         "chen_vif",
-        f"{_HORIZONS}.hammerstein.iterative_hammerstein:IterativeHammerstein._second",
-        ", _SHARE,",
-        ", 1.001 * _SHARE,",
+        f"{_HORIZONS}.iterative:IterativeSpec._second_horizon",
+        "self.share *",
+        "1.001 * self.share *",
     ),
     Plant("chen_example5", "systems.processes:VanDeVusse._advance", "- k_3 *", "- 1.001 * k_3 *"),
     # Chen, Wiener: the weight of (29), slopes, the process of the pH, Voros
