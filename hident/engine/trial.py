@@ -6,7 +6,7 @@ import copy
 import hashlib
 import json
 import traceback
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from typing import Annotated, Any, TypeVar
@@ -127,7 +127,8 @@ def generate(data: Data, seed: int, trial: int, perturbation: int = 0) -> Record
     last place or left, at random: another draw for each k, as another processor's rounding would be. Equal
     values of u stay equal, so that a held input keeps its levels. The truth stays.
     """
-    return _measured(data, _simulated(data, seed, trial), seed, trial, perturbation)
+    noise = data.streams.generator("noise", seed, data.key, trial)
+    return _measured(data, _simulated(data, seed, trial), noise, seed, trial, perturbation)
 
 
 def _simulated(data: Data, seed: int, trial: int) -> Record:
@@ -143,9 +144,10 @@ def _simulated(data: Data, seed: int, trial: int) -> Record:
     return Record(u, y, data.dt, data.system.truth(), parts)
 
 
-def _measured(data: Data, simulated: Record, seed: int, trial: int, perturbation: int) -> Record:
+def _measured(
+    data: Data, simulated: Record, noise: np.random.Generator, seed: int, trial: int, perturbation: int
+) -> Record:
     u, y = simulated.u, simulated.y
-    noise = data.streams.generator("noise", seed, data.key, trial)
     for spec in data.noise:
         y = spec.measure(y, noise)
     if perturbation:
@@ -219,7 +221,7 @@ def run_trials(
     """
     scores: dict[tuple[int, int], tuple[Score, ...]] = {}
     with np.errstate(all="ignore"):
-        records = _records(data, seed, wanted, perturbation)
+        records = _records(data, seed, [*wanted], perturbation)
         for index, job in enumerate(jobs):
             of_job = {trial: records[trial] for trial, indices in wanted.items() if index in indices}
             for trial, found in _estimates(data, job, of_job, seed).items():
@@ -241,16 +243,22 @@ def _attempt(make: Callable[[], T]) -> T | BaseException:
 
 
 def _records(
-    data: Data, seed: int, trials: Iterable[int], perturbation: int
+    data: Data, seed: int, trials: Sequence[int], perturbation: int
 ) -> dict[int, Record | BaseException]:
     """The records of the trials, or what was raised; where the input is fixed, they are simulated once."""
     once = cache(lambda: _simulated(data, seed, 0)) if data.streams.is_fixed("input") else None
+    noises = _attempt(lambda: data.streams.generators("noise", seed, data.key, trials))
 
-    def record(trial: int) -> Record:
+    def record(place: int, trial: int) -> Record:
         simulated = once() if once else _simulated(data, seed, trial)
-        return _measured(data, simulated, seed, trial, perturbation)
+        # Where one of the streams cannot be had, the others can.
+        if isinstance(noises, BaseException):
+            noise = data.streams.generator("noise", seed, data.key, trial)
+        else:
+            noise = noises[place]
+        return _measured(data, simulated, noise, seed, trial, perturbation)
 
-    return {trial: _attempt(partial(record, trial)) for trial in trials}
+    return {trial: _attempt(partial(record, place, trial)) for place, trial in enumerate(trials)}
 
 
 def _estimates(
