@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,6 +177,23 @@ class Record:
         Whatever looks back in time must not look from one into another.
         """
         return tuple(part.samples for part in self.parts.values()) or whole(len(self))
+
+    def once(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What ``make`` gives, made once for all estimators and metrics of this record that ask by the key.
+
+        Examples
+        --------
+        >>> record = Record(np.arange(3.0), np.zeros(3))
+        >>> record.once("mean", record.u.mean), record.once("mean", record.u.max)
+        (1.0, 1.0)
+        """
+        if key not in self._made:
+            self._made[key] = make()
+        return cast(T, self._made[key])
+
+    @cached_property
+    def _made(self) -> dict[Hashable, Any]:
+        return {}
 
     @cached_property
     def order(self) -> NDArray[np.intp]:

@@ -20,7 +20,6 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-import hident  # noqa: F401  (it decides which kernels this process compares with)
 from hident import arithmetic
 from hident.engine.run_files import RUN, TRIALS
 from hident.errors import HidentError

@@ -20,8 +20,6 @@ import pytest
 import yaml
 from hypothesis import HealthCheck, settings
 
-# It decides which kernels numpy and BLAS use, so it comes before them.
-import hident  # noqa: F401
 from tests.forked import GUARD_SECONDS, Forked, run_forked
 
 # The same examples everywhere, however slow the machine.

@@ -6,23 +6,25 @@ import copy
 import hashlib
 import json
 import traceback
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Annotated, Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property, partial
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, Spec, canonical
-from hident.errors import TrialFailed
-from hident.estimators.base import EstimatorSpec
+from hident.errors import EstimationError, TrialFailed
+from hident.estimators.base import Batched, EstimatorSpec
 from hident.metrics.base import MetricSpec
 from hident.records import Estimate, Part, Record
 from hident.signals.base import ExcitationSpec, NoiseSpec, Stretch
 from hident.signals.streams import NumpyStreams, StreamsSpec
 from hident.systems.base import SystemSpec
+
+T = TypeVar("T")
 
 FAILURES = (TrialFailed, np.linalg.LinAlgError, ArithmeticError)
 """What an estimate, a metric or a simulation may raise as its result: the trial counts as failed."""
@@ -125,6 +127,12 @@ def generate(data: Data, seed: int, trial: int, perturbation: int = 0) -> Record
     last place or left, at random: another draw for each k, as another processor's rounding would be. Equal
     values of u stay equal, so that a held input keeps its levels. The truth stays.
     """
+    noise = data.streams.generator("noise", seed, data.key, trial)
+    return _measured(data, _simulated(data, seed, trial), noise, seed, trial, perturbation)
+
+
+def _simulated(data: Data, seed: int, trial: int) -> Record:
+    """The record before noise."""
     inputs = data.streams.generator("input", seed, data.key, trial)
     interval = _interval(data)
     stretches = data.excitation.stretches(data.samples, interval)
@@ -133,7 +141,13 @@ def generate(data: Data, seed: int, trial: int, perturbation: int = 0) -> Record
         u, y, parts = _experiments(data.system, stretches, inputs)
     else:
         u, y, parts = *_sampled(data.system, stretches[0], inputs), {}
-    noise = data.streams.generator("noise", seed, data.key, trial)
+    return Record(u, y, data.dt, data.system.truth(), parts)
+
+
+def _measured(
+    data: Data, simulated: Record, noise: np.random.Generator, seed: int, trial: int, perturbation: int
+) -> Record:
+    u, y = simulated.u, simulated.y
     for spec in data.noise:
         y = spec.measure(y, noise)
     if perturbation:
@@ -141,7 +155,7 @@ def generate(data: Data, seed: int, trial: int, perturbation: int = 0) -> Record
         u, y = _perturbed(u, y, np.random.default_rng(sequence))
     # All estimators of a trial share them: one that writes crashes instead of changing the others' data.
     u.flags.writeable = y.flags.writeable = False
-    return Record(u, y, data.dt, data.system.truth(), parts)
+    return replace(simulated, u=u, y=y)
 
 
 def _perturbed(u: Array, y: Array, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -202,41 +216,83 @@ def run_trials(
 ) -> list[Outcome]:
     """Run the jobs that each trial wants: ``wanted`` maps trials to indices of jobs.
 
-    A failure or a crash does not end the others, so that what was computed can be kept.
+    A failure or a crash does not end the others, so that what was computed can be kept. The numbers do not
+    depend on which trials run together.
     """
+    scores: dict[tuple[int, int], tuple[Score, ...]] = {}
     with np.errstate(all="ignore"):
-        return [
-            outcome
-            for trial, indices in wanted.items()
-            for outcome in _run_trial(data, jobs, indices, seed, trial, perturbation)
-        ]
+        records = _records(data, seed, [*wanted], perturbation)
+        for index, job in enumerate(jobs):
+            of_job = {trial: records[trial] for trial, indices in wanted.items() if index in indices}
+            for trial, found in _estimates(data, job, of_job, seed).items():
+                scores[trial, index] = _scores(job.metrics, found, records[trial])
+    return [
+        Outcome(index, trial, scores[trial, index]) for trial, indices in wanted.items() for index in indices
+    ]
 
 
-def _run_trial(
-    data: Data, jobs: Sequence[Job], indices: Sequence[int], seed: int, trial: int, perturbation: int
-) -> list[Outcome]:
-    def all_metrics(index: int, error: BaseException) -> Outcome:
-        return Outcome(index, trial, tuple(_scored_as(error, metric) for metric in jobs[index].metrics))
-
+def _attempt(make: Callable[[], T]) -> T | BaseException:
+    """What is made, or what was raised instead."""
     try:
-        record = generate(data, seed, trial, perturbation)
+        return make()
     except KeyboardInterrupt:
         raise
+    # Whatever a component raises, SystemExit and GeneratorExit too, must not end the run.
     except BaseException as error:
-        return [all_metrics(index, error) for index in indices]
-    outcomes = []
-    for index in indices:
-        try:
-            found = estimate(data, jobs[index], record, seed, trial)
-        except KeyboardInterrupt:
-            raise
-        # Whatever a component raises, SystemExit and GeneratorExit too, must not end the run.
-        except BaseException as error:
-            outcomes.append(all_metrics(index, error))
+        return error
+
+
+def _records(
+    data: Data, seed: int, trials: Sequence[int], perturbation: int
+) -> dict[int, Record | BaseException]:
+    """The records of the trials, or what was raised; where the input is fixed, they are simulated once."""
+    once = cache(lambda: _simulated(data, seed, 0)) if data.streams.is_fixed("input") else None
+    noises = _attempt(lambda: data.streams.generators("noise", seed, data.key, trials))
+
+    def record(place: int, trial: int) -> Record:
+        simulated = once() if once else _simulated(data, seed, trial)
+        # Where one of the streams cannot be had, the others can.
+        if isinstance(noises, BaseException):
+            noise = data.streams.generator("noise", seed, data.key, trial)
         else:
-            scores = tuple(_score(metric, found, record) for metric in jobs[index].metrics)
-            outcomes.append(Outcome(index, trial, scores))
-    return outcomes
+            noise = noises[place]
+        return _measured(data, simulated, noise, seed, trial, perturbation)
+
+    return {trial: _attempt(partial(record, place, trial)) for place, trial in enumerate(trials)}
+
+
+def _estimates(
+    data: Data, job: Job, records: Mapping[int, Record | BaseException], seed: int
+) -> dict[int, Estimate | BaseException]:
+    """The estimates from the records, or what was raised."""
+    failed = {trial: record for trial, record in records.items() if isinstance(record, BaseException)}
+    sound = {trial: record for trial, record in records.items() if isinstance(record, Record)}
+    if isinstance(job.estimator, Batched) and sound:
+        together = _attempt(partial(_together, job.estimator, [*sound.values()]))
+        # An error that ends them all is found again where each is taken by itself.
+        if not isinstance(together, BaseException):
+            return {**failed, **dict(zip(sound, together, strict=True))}
+    alone = partial(estimate, data, job, seed=seed)
+    return {
+        **failed,
+        **{trial: _attempt(partial(alone, record=record, trial=trial)) for trial, record in sound.items()},
+    }
+
+
+def _together(estimator: Batched, records: Sequence[Record]) -> list[Estimate | EstimationError]:
+    for record in records:
+        estimator.require_experiments(record)
+    return estimator.fit_many(records)
+
+
+def _scores(
+    metrics: Sequence[MetricSpec], found: Estimate | BaseException, record: Record | BaseException
+) -> tuple[Score, ...]:
+    if isinstance(record, BaseException):
+        return tuple(_scored_as(record, metric) for metric in metrics)
+    if isinstance(found, BaseException):
+        return tuple(_scored_as(found, metric) for metric in metrics)
+    return tuple(_score(metric, found, record) for metric in metrics)
 
 
 def _score(metric: MetricSpec, found: Estimate, record: Record) -> Score:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import ClassVar, Literal
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -120,6 +120,24 @@ class EstimatorSpec(Component):
             If the estimate is singular or diverges, or the record does not suit the method.
         """
         raise NotImplementedError
+
+
+@runtime_checkable
+class Batched(Protocol):
+    """An estimator that estimates from many records at once, faster than one by one.
+
+    It draws nothing.
+    """
+
+    def require_experiments(self, record: Record) -> None:
+        """As every estimator."""
+
+    def fit_many(self, records: Sequence[Record]) -> list[Estimate | EstimationError]:
+        """What ``fit`` gives or raises for each record, to the last bit, however many there are.
+
+        Those of one fixed input share the array ``u``. Any other error than EstimationError may be raised:
+        each record is then fitted by itself.
+        """
 
 
 def require_finite(y: Array) -> None:

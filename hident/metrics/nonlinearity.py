@@ -89,11 +89,15 @@ class IntegratedSquaredError(_OnInterval):
             return (self.integrals(estimate, record)[0],)
         truth, _ = _of(record.truth)
         low, high = self.interval
-        # In increasing order, in which an estimate is evaluated with fewer jumps through memory.
-        u = record.u[record.order]
-        u = u[np.searchsorted(u, low) : np.searchsorted(u, high, "right")]
-        error = _finite(needed(estimate.nonlinearity)(u), u, "estimated")
-        error = error - _finite(truth(u), u, "true")
+
+        def samples() -> tuple[Array, Array]:
+            # In increasing order, in which an estimate is evaluated with fewer jumps through memory.
+            u = record.u[record.order]
+            u = u[np.searchsorted(u, low) : np.searchsorted(u, high, "right")]
+            return u, _finite(truth(u), u, "true")
+
+        u, true = record.once(("truth at the samples", self.interval), samples)
+        error = _finite(needed(estimate.nonlinearity)(u), u, "estimated") - true
         return ((high - low) * float(error @ error) / len(u) if len(u) else float("nan"),)
 
 

@@ -90,27 +90,25 @@ def gauss_newton(
     step_at_rest : bool
         Whether the step of a model at rest is made all the same.
     """
-    point, evaluations = start, 0
-    for iteration in range(max_iterations + 1):
+    point, iterations, evaluations = start, 0, 0
+    status: Status | None = None
+    while status is None:
         factors = Factorisation.of(point.jacobian)
-        projected = factors.q.T @ point.residuals
-        length = float(np.linalg.norm(projected))
-
-        def ended(status: Status, steps: int = iteration) -> Minimum[P]:
-            return Minimum(point, status, steps, evaluations, factors, length)  # noqa: B023
-
-        if factors.is_dependent:
-            return ended("singular")
+        length = float(np.linalg.norm(factors.q.T @ point.residuals))
         rest = rests(point, length)
-        if rest and not step_at_rest:
-            return ended("converged")
-        if iteration == max_iterations:
-            return ended("exhausted")
-        new, tried = descended(point, factors.solution(point.residuals), moved, slack)
-        evaluations += tried
-        if new is None:
-            return ended("converged" if rest else "stalled")
-        point = new
-        if rest:
-            return ended("converged", iteration + 1)
-    raise AssertionError("the last iteration returns")
+        if factors.is_dependent:
+            status = "singular"
+        elif rest and not step_at_rest:
+            status = "converged"
+        elif iterations == max_iterations:
+            status = "exhausted"
+        else:
+            new, tried = descended(point, factors.solution(point.residuals), moved, slack)
+            evaluations += tried
+            if new is not None:
+                point, iterations = new, iterations + 1
+            if rest:
+                status = "converged"
+            elif new is None:
+                status = "stalled"
+    return Minimum(point, status, iterations, evaluations, factors, length)

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import Literal
 
 import numpy as np
@@ -118,13 +118,32 @@ class Randn:
         If the state is not a whole number from 0 to 2^32 - 1.
     """
 
-    def __init__(self, state: int) -> None:
-        self._cong, self._shr3 = _normal_starts([state])
+    def __init__(self, state: int, beginnings: Beginnings | None = None) -> None:
+        self._first = partial((beginnings or Beginnings([state])).of, state)
+        self._at: tuple[Words, Words] | None = None
 
     def standard_normal(self, size: Size = None) -> Array:
         """The next numbers, in the order in which numpy fills an array (MATLAB fills columns first)."""
-        drawn, self._cong, self._shr3 = _normals(self._cong, self._shr3, _count(size))
+        n = _count(size)
+        drawn, cong, shr3 = _normals(*self._at, n) if self._at else self._first(n)
+        self._at = cong, shr3
         return _shaped(drawn[0], size)
+
+
+class Beginnings:
+    """The first normal numbers of several states, drawn together when one of them is asked for."""
+
+    def __init__(self, states: Sequence[int]) -> None:
+        self._rows = {state_number(state): row for row, state in enumerate(dict.fromkeys(states))}
+        self._drawn: dict[int, tuple[Array, Words, Words]] = {}
+
+    def of(self, state: int, n: int) -> tuple[Array, Words, Words]:
+        """The first ``n`` of a state (1, n), and where its generators stand then, (1,) each."""
+        if n not in self._drawn:
+            self._drawn = {n: _normals(*_normal_starts([*self._rows]), n)}
+        row = slice(at := self._rows[state], at + 1)
+        drawn, cong, shr3 = self._drawn[n]
+        return drawn[row], cong[row], shr3[row]
 
 
 def normals(states: Sequence[int], n: int) -> Array:
@@ -165,9 +184,15 @@ class MatlabStream:
         If the state is not a whole number from 0 to 2^32 - 1.
     """
 
-    def __init__(self, state: int, generator: Literal["state", "twister"] = "state") -> None:
+    def __init__(
+        self,
+        state: int,
+        generator: Literal["state", "twister"] = "state",
+        beginnings: Beginnings | None = None,
+    ) -> None:
         self._state = state_number(state)
         self._generator = generator
+        self._beginnings = beginnings
 
     def random(self, size: Size = None) -> Array:
         """The next uniform numbers."""
@@ -187,7 +212,7 @@ class MatlabStream:
 
     @cached_property
     def _randn(self) -> Randn:
-        return Randn(self._state)
+        return Randn(self._state, self._beginnings)
 
 
 def _count(size: Size) -> int:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
+from functools import cache
 from typing import Annotated, Any, Literal, Self, cast
 
 import numpy as np
@@ -10,7 +12,7 @@ from pydantic import BeforeValidator, model_validator
 
 from hident.config.expression import Formula
 from hident.config.spec import Spec, component
-from hident.signals.matlab5 import MatlabStream, state_number
+from hident.signals.matlab5 import Beginnings, MatlabStream, state_number
 from hident.signals.streams import NumpyStreams, Role, StreamsSpec
 
 
@@ -25,11 +27,16 @@ def _state_in(state: int | str, trial: int) -> int:
     """The state as a number in one trial, counted from 1."""
     if isinstance(state, int):
         return state_number(state)
-    formula = Formula(state, ("trial",))
+    formula = _formula(state)
     try:
         return state_number(float(formula(trial=float(trial))))
     except ValueError as error:
         raise ValueError(f"{error} (the formula {state!r} in trial {trial})") from None
+
+
+@cache
+def _formula(state: str) -> Formula:
+    return Formula(state, ("trial",))
 
 
 class MatlabState(Spec):
@@ -44,9 +51,11 @@ class MatlabState(Spec):
         """Whether the state is the same in all trials."""
         return isinstance(self.state, int) or not re.search(r"\btrial\b", self.state)
 
-    def stream(self, trial: int) -> MatlabStream:
-        """The stream of one trial, counted from 1."""
-        return MatlabStream(_state_in(self.state, trial), self.generator)
+    def streams(self, trials: Iterable[int]) -> list[MatlabStream]:
+        """The streams of some trials, counted from 1."""
+        states = [_state_in(self.state, trial) for trial in trials]
+        beginnings = Beginnings(states)
+        return [MatlabStream(state, self.generator, beginnings) for state in states]
 
 
 @component("streams", "matlab5", source="Marsaglia and Zaman 1991; Marsaglia and Tsang 1984")
@@ -71,11 +80,14 @@ class Matlab5Streams(StreamsSpec):
         return super().is_fixed(role) if given is None else given.is_fixed()
 
     def generator(self, role: Role, seed: int, key: int, trial: int) -> np.random.Generator:
+        return self.generators(role, seed, key, [trial])[0]
+
+    def generators(self, role: Role, seed: int, key: int, trials: Sequence[int]) -> list[np.random.Generator]:
         given = self._given(role)
         if given is None:
-            return NumpyStreams(fixed=self.fixed).generator(role, seed, key, trial)
-        # It has the methods that excitations and noises call, and no others.
-        return cast(np.random.Generator, given.stream(trial + 1))
+            return NumpyStreams(fixed=self.fixed).generators(role, seed, key, trials)
+        # They have the methods that excitations and noises call, and no others.
+        return cast(list[np.random.Generator], given.streams(trial + 1 for trial in trials))
 
     def _given(self, role: Role) -> MatlabState | None:
         return None if role == "estimator" else getattr(self, role)

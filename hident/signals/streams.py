@@ -7,6 +7,7 @@ else: not on the estimators, the order of the cases, the number of workers or th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -31,6 +32,10 @@ class StreamsSpec(Component):
     def generator(self, role: Role, seed: int, key: int, trial: int) -> np.random.Generator:
         """The generator of one role in one trial; ``key`` is the hash of what the stream belongs to."""
         raise NotImplementedError
+
+    def generators(self, role: Role, seed: int, key: int, trials: Sequence[int]) -> list[np.random.Generator]:
+        """The generators of several trials, which give the numbers that each gives by itself."""
+        return [self.generator(role, seed, key, trial) for trial in trials]
 
 
 @component("streams", "numpy")

@@ -127,12 +127,12 @@ def written() -> Iterator[Path]:
 def speed(data: Data, spec: TwoStage) -> None:
     """Trials per second against a loop, and against the one matrix product."""
     exact = noise_free(data)
-    noise = np.random.default_rng(_SEED).standard_normal((data.samples, max(_BATCHES)))
-    y = (exact.y[:, None] + noise)[spec.first :]
+    noise = np.random.default_rng(_SEED).standard_normal((max(_BATCHES), data.samples))
+    y = (exact.y + noise)[:, spec.first :]
     show(
         "Trials per second of the two-stage algorithm, outputs given (hident and plain agree to 1e-9)",
         ("trials", "hident", "floor", "plain", "hident/floor time", "plain/hident time"),
-        [row(spec, spec.basis_values(exact.u), y[:, :trials].copy()) for trials in _BATCHES],
+        [row(spec, spec.basis_values(exact.u), y[:trials]) for trials in _BATCHES],
         (
             "hident: b and a of all trials from the basis functions, the regressors factored once.",
             "floor: the product of their pseudoinverse, already known, with the outputs.",
@@ -148,30 +148,30 @@ def noise_free(data: Data) -> Record:
 
 
 def row(spec: TwoStage, basis: Array, y: Array) -> list[str]:
-    """The line of the outputs ``y`` (rows, T)."""
-    phi, each = regressors(basis, spec.lags, spec.delay), y.T.copy()
+    """The line of the outputs ``y`` (T, rows)."""
+    phi = regressors(basis, spec.lags, spec.delay)
     inverse = np.linalg.pinv(phi)
     found = batch(spec, basis, y)
-    np.testing.assert_allclose(np.hstack([found.b, found.a]), plain(phi, spec.lags, each), rtol=1e-9)
+    np.testing.assert_allclose(np.hstack([found.b, found.a]), plain(phi, spec.lags, y), rtol=1e-9)
     taken = interleaved(
         {
             "hident": lambda: batch(spec, basis, y),
-            "floor": lambda: inverse @ y,
-            "plain": lambda: plain(phi, spec.lags, each),
+            "floor": lambda: y @ inverse.T,
+            "plain": lambda: plain(phi, spec.lags, y),
         },
         _ROUNDS,
     )
     ours, least, loop = taken["hident"], taken["floor"], taken["plain"]
     return [
-        f"{len(each):.0e}",
-        *(f"{len(each) / time:.2e}" for time in taken.values()),
+        f"{len(y):.0e}",
+        *(f"{len(y) / time:.2e}" for time in taken.values()),
         f"{ours / least:.2f}",
         f"{loop / ours:.0f}",
     ]
 
 
 def batch(spec: TwoStage, basis: Array, y: Array) -> TwoStageFit:
-    """The estimates of all trials, ``y`` (rows, T), from the basis functions (m, N)."""
+    """The estimates of all trials, ``y`` (T, rows), from the basis functions (m, N)."""
     return two_stage(Regression.of(regressors(basis, spec.lags, spec.delay), spec.lags), y)
 
 
@@ -256,7 +256,7 @@ def hidents(spec: TwoStage, exact: Record) -> dict[str, Contender]:
     phi, n = spec.data(exact)[0], spec.lags
 
     def together(x: Array, outputs: Array) -> list[Array]:
-        found = batch(spec, spec.basis_values(x), outputs.T[spec.first :])
+        found = batch(spec, spec.basis_values(x), outputs[:, spec.first :])
         return list(np.hstack([found.b, found.a]))
 
     def read(values: Array) -> Found:

@@ -15,15 +15,17 @@ from hident.config.describe import fields
 from hident.config.load import problems_of
 from hident.config.meanings import meanings
 from hident.config.spec import PLURALS, Component, Family, Of, Spec, canonical, components
-from hident.engine.trial import Data, Job, estimate, generate
+from hident.engine.trial import Data, Job, estimate, generate, run_trials
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec
 from hident.estimators.nonparametric.bases import BasisSpec
 from hident.metrics.base import MetricSpec
+from hident.metrics.nonlinearity import IntegratedSquaredError
+from hident.metrics.values import Value
 from hident.records import Record
 from hident.reports.base import FigureSpec, TableSpec
 from hident.signals.base import ExcitationSpec, NoiseSpec
-from hident.signals.streams import StreamsSpec
+from hident.signals.streams import NumpyStreams, StreamsSpec
 from hident.systems.base import NonlinearitySpec, SystemSpec
 from hident.systems.linear import LinearSpec
 
@@ -432,6 +434,26 @@ class TestEveryEstimator:
             points = np.linspace(-0.9, 0.9, 31)
             found.append((result, None if result.nonlinearity is None else result.nonlinearity(points)))
         _same(*found)
+
+    def test_gives_the_same_bytes_whatever_runs_with_it(self, example):
+        spec, trials = _spec(example), 5
+        names = [name.removeprefix("value ") for name in spec.provides() if name.startswith("value ")]
+        metrics: list[MetricSpec] = [Value(of=tuple(names))] if names else []
+        if "nonlinearity" in spec.provides():
+            metrics.append(IntegratedSquaredError(interval=(-0.5, 0.5), points=20))
+        jobs = [Job(spec, tuple(metrics)), Job(spec, tuple(metrics))]
+        for streams in ({}, {"fixed": ["input"]}):
+            data = _data(example).model_copy(update={"streams": NumpyStreams(**streams)})
+            found = [
+                {
+                    (outcome.trial, outcome.job): outcome.values.tobytes()
+                    for chunk in chunks
+                    for outcome in run_trials(data, jobs, dict.fromkeys(chunk, (0, 1)), 1)
+                }
+                for chunks in ([range(trials)], [[trial] for trial in range(trials)], [[3, 0], [2], [4, 1]])
+            ]
+            assert found[0] == found[1] == found[2]
+            assert all(found[0][trial, 0] == found[0][trial, 1] for trial in range(trials)) or spec.draws()
 
     def test_provides_what_it_says(self, example):
         found, _ = _fit(example, generate(_data(example), 1, 0))

@@ -38,7 +38,7 @@ def noisy(seed, samples=100, trials=None, noise=1.0):
     phi = regressors(np.array([x**j for j in range(1, 6)]), 2)
     y = phi @ np.outer(A, B).ravel()
     size = len(y) if trials is None else (len(y), trials)
-    return x, phi, (y if trials is None else y[:, None]) + noise * rng.normal(size=size)
+    return x, phi, y + noise * rng.normal(size=size).T
 
 
 def record_of(x, y):
@@ -141,9 +141,9 @@ def test_estimate_is_efficient_where_the_two_stage_one_is_not():
     regression = Regression.of(phi, 2)
     first = two_stage(regression, Y)
     solved = [
-        bilinear_least_squares(regression, y, b, a) for y, b, a in zip(Y.T, first.b, first.a, strict=True)
+        bilinear_least_squares(regression, y, b, a) for y, b, a in zip(Y, first.b, first.a, strict=True)
     ]
-    limits = CramerRao(lags=2, degree=5, variance=1.0).fit(record_of(x, Y[:, 0]), RNG).values
+    limits = CramerRao(lags=2, degree=5, variance=1.0).fit(record_of(x, Y[0]), RNG).values
     spread = np.std([[*s.b, *s.a] for s in solved], axis=0)
     np.testing.assert_allclose(spread / list(limits.values()), 1.0, atol=0.08)
     assert np.std(first.b[:, 0]) > 3.0 * limits["se_b_1"]
@@ -151,7 +151,7 @@ def test_estimate_is_efficient_where_the_two_stage_one_is_not():
 
 def test_intervals_cover():
     x, _, Y = noisy(6, trials=300)
-    trials = [spec().fit(record_of(x, y), RNG).values for y in Y.T]
+    trials = [spec().fit(record_of(x, y), RNG).values for y in Y]
     for name, truth in (("b_1", B[0]), ("a_1", 1.0), ("a_4", 7.0)):
         inside = [abs(t[name] - truth) < 1.986 * t[f"se_{name}"] for t in trials]
         assert np.mean(inside) == pytest.approx(0.95, abs=0.04)

@@ -284,7 +284,7 @@ class TestNoiseModels:
 
     def test_whiten_each_experiment_by_itself(self):
         model, n = ArModel(np.array([0.6, -0.3, 0.2, 0.1])), 104
-        F = model.whiten(np.eye(n), self.PARTS)
+        F = model.whiten(np.eye(n), self.PARTS).T
         gamma = TransferFunction(a=tuple(model.a)).impulse_response(3000)
         covariance = np.array([gamma[: len(gamma) - k] @ gamma[k:] for k in range(60)])
         R = np.zeros((n, n))

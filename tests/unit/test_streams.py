@@ -11,7 +11,9 @@ from pydantic import ValidationError
 
 from hident.config.expression import FUNCTIONS
 from hident.config.spec import Of, Spec, canonical
-from hident.engine.trial import Data, generate
+from hident.engine.trial import Data, Job, generate, run_trials
+from hident.estimators.nonparametric.least_squares import LeastSquares
+from hident.metrics.values import Value
 from hident.signals import matlab5_streams  # noqa: F401  (registers the kind)
 from hident.signals.excitation import Filtered, Iid, Prbs
 from hident.signals.matlab5 import Rand, Randn, twister
@@ -90,6 +92,32 @@ def test_states_are_those_of_the_formulas(trial):
         stream = streams.generator(role, SEED, KEY, trial)
         np.testing.assert_array_equal(stream.random(20), Rand(state).random(20))
         np.testing.assert_array_equal(stream.standard_normal(20), Randn(state).standard_normal(20))
+
+
+@pytest.mark.parametrize("sizes", [(20, 7, 3), (20, 20, 20), (0, 5, 40)])
+def test_streams_of_several_trials_are_those_of_each(sizes):
+    trials = [7, 0, 3]
+    for streams in (NumpyStreams(), matlab5(noise={"state": "trial"}), matlab5(noise={"state": 4})):
+        together = streams.generators("noise", SEED, KEY, trials)
+        for trial, n, stream in zip(trials, sizes, together, strict=True):
+            alone = streams.generator("noise", SEED, KEY, trial)
+            for count in (n, 9):
+                np.testing.assert_array_equal(stream.standard_normal(count), alone.standard_normal(count))
+
+
+def test_a_stream_that_cannot_be_had_is_missed_in_its_trial_alone():
+    data = Data(
+        samples=9,
+        system=Hammerstein(nonlinearity=Expression(expression="u"), linear=Fir(b=(1.0,))),
+        excitation=Iid(distribution="uniform", low=-3.0, high=3.0),
+        noise=(White(std=1.0),),
+        streams=matlab5(noise={"state": "3 - trial"}),
+    )
+    outcomes = run_trials(
+        data, [Job(LeastSquares(order=1), (Value(of=("a_1",)),))], {t: [0] for t in range(6)}, 1
+    )
+    assert [bool(outcome.scores[0].crash) for outcome in outcomes] == [False] * 3 + [True] * 3
+    assert "not -1 (the formula '3 - trial' in trial 4)" in outcomes[3].scores[0].failure
 
 
 def test_the_first_trial_has_the_number_one():

@@ -20,7 +20,7 @@ from hident.metrics.base import MetricSpec
 from hident.metrics.values import Value
 from hident.records import Estimate, Record, Truth
 from hident.signals.base import NoiseSpec
-from hident.signals.streams import Role
+from hident.signals.streams import NumpyStreams, Role
 from hident.systems.base import SystemSpec
 
 if TYPE_CHECKING:
@@ -229,6 +229,71 @@ def test_a_simulation_that_fails_is_a_failed_trial_of_every_estimator(lab: Lab) 
     assert [len(o.values) for o in outcomes] == [1, 2, 2]
     assert all(np.isnan(o.values).all() for o in outcomes)
     assert not Witness.seen
+
+
+@component("estimator", "together")
+class Together(EstimatorSpec):
+    """Fits many records at once: each by its last output, those above the limit fail."""
+
+    limit: float = 1e300
+    crash: bool = False
+    calls: ClassVar[list[int]] = []
+
+    def draws(self) -> bool:
+        return False
+
+    def provides(self) -> frozenset[str]:
+        return frozenset({"value a_1"})
+
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
+        [found] = self.fit_many([record])
+        if isinstance(found, EstimationError):
+            raise found
+        return found
+
+    def fit_many(self, records: Sequence[Record]) -> list[Estimate | EstimationError]:
+        self.calls.append(len(records))
+        if self.crash and any(record.y[-1] > self.limit for record in records):
+            raise ZeroDivisionError
+        return [
+            EstimationError(f"{record.y[-1]:g} is too large")
+            if record.y[-1] > self.limit
+            else Estimate(values={"a_1": float(record.y[-1])})
+            for record in records
+        ]
+
+
+@pytest.mark.parametrize("crash", [False, True])
+def test_an_estimator_of_many_records_is_asked_for_all_and_fails_where_each_by_itself_fails(
+    lab: Lab, crash: bool
+) -> None:
+    data = _plan(lab).units[0].data
+    last = [generate(data, 7, trial).y[-1] for trial in range(6)]
+    limit = float(np.median(last))
+    Together.calls.clear()
+    outcomes = run_trials(
+        data, [Job(Together(limit=limit, crash=crash), _A)], {t: [0] for t in range(6)}, seed=7
+    )
+    assert Together.calls == ([6, 1, 1, 1, 1, 1, 1] if crash else [6])
+    for outcome, y in zip(outcomes, last, strict=True):
+        failure = "" if y <= limit else "ZeroDivisionError: " if crash else f"{y:g} is too large"
+        assert outcome.scores[0].failure == failure
+        assert outcome.values[0] == y if y <= limit else np.isnan(outcome.values[0])
+
+
+def test_trials_of_a_fixed_input_share_it_and_simulate_it_once(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = _plan(lab).units[0].data.model_copy(update={"streams": NumpyStreams(fixed=("input",))})
+    simulate, calls = type(data.system).simulate, []
+
+    def counted(self: SystemSpec, u: Array, dt: float) -> Array:
+        calls.append(u)
+        return simulate(self, u, dt)
+
+    monkeypatch.setattr(type(data.system), "simulate", counted)
+    run_trials(data, [Job(Together(), _A)], {t: [0] for t in range(6)}, seed=7)
+    assert len(calls) == 1
 
 
 def test_a_perturbation_moves_samples_toward_zero_by_one_unit_in_the_last_place(lab: Lab) -> None:

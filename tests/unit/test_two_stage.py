@@ -113,7 +113,7 @@ def test_any_basis_and_delay():
 
 def test_many_trials_at_once_are_the_trials_one_by_one():
     _, phi, y = problem(4)
-    Y = y[:, None] + np.random.default_rng(5).normal(size=(len(y), 7))
+    Y = y + np.random.default_rng(5).normal(size=(7, len(y)))
     regression = Regression.of(phi, 2)
     together = two_stage(regression, Y)
     variance = regression.variance(Y, together.theta)
@@ -121,15 +121,13 @@ def test_many_trials_at_once_are_the_trials_one_by_one():
     losses = loss(regression, Y, together.b, together.a, regression.root)
     assert together.b.shape == (7, 2) and together.a.shape == (7, 5) and together.theta.shape == (7, 2, 5)
     for k in range(7):
-        alone = two_stage(regression, Y[:, k])
-        np.testing.assert_allclose(together.b[k], alone.b, rtol=1e-12)
-        np.testing.assert_allclose(together.a[k], alone.a, rtol=1e-10)
-        assert variance[k] == pytest.approx(regression.variance(Y[:, k], alone.theta), rel=1e-10)
-        assert losses[k] == pytest.approx(
-            loss(regression, Y[:, k], alone.b, alone.a, regression.root), rel=1e-9
-        )
+        alone = two_stage(regression, Y[k])
+        np.testing.assert_array_equal(together.b[k], alone.b)
+        np.testing.assert_array_equal(together.a[k], alone.a)
+        assert variance[k] == regression.variance(Y[k], alone.theta)
+        assert losses[k] == loss(regression, Y[k], alone.b, alone.a, regression.root)
         for many, one in zip(errors, regression.standard_errors(alone.b, alone.a, variance[k]), strict=True):
-            np.testing.assert_allclose(many[k], one, rtol=1e-10)
+            np.testing.assert_array_equal(many[k], one)
 
 
 @QUICK
@@ -197,7 +195,7 @@ def test_any_weighting_is_the_formula_with_the_matrix():
 
 def test_root_of_the_inverse_gram_matrix():
     _, phi, _ = problem(9, a=A[:2], samples=30)
-    root = inverse_gram(Regression.of(phi, 2))(np.eye(len(phi)))
+    root = inverse_gram(Regression.of(phi, 2))(np.eye(len(phi))).T
     expected = np.linalg.pinv(phi @ phi.T, rcond=1e-10)
     np.testing.assert_allclose(root.T @ root, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
@@ -248,7 +246,7 @@ def test_error_falls_like_n_to_the_minus_half():
     sizes, errors = np.array([100, 800, 6400]), []
     for n in sizes:
         _, phi, y = problem(14, samples=n)
-        Y = y[:, None] + np.random.default_rng(15).normal(size=(len(y), 200))
+        Y = y + np.random.default_rng(15).normal(size=(200, len(y)))
         found = two_stage(Regression.of(phi, 2), Y)
         errors.append([np.std(found.b[:, 0]), np.std(found.a[:, 0]), np.std(found.a[:, 3])])
     slopes = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
@@ -258,7 +256,7 @@ def test_error_falls_like_n_to_the_minus_half():
 def test_intervals_cover():
     _, phi, y = problem(16, samples=500)
     regression = Regression.of(phi, 2)
-    Y = y[:, None] + np.random.default_rng(17).normal(size=(len(y), 4000))
+    Y = y + np.random.default_rng(17).normal(size=(4000, len(y)))
     found = two_stage(regression, Y)
     errors = regression.standard_errors(found.b, found.a, regression.variance(Y, found.theta))
     for estimate, error, truth in zip((found.b, found.a), errors, (B, A), strict=True):
@@ -268,8 +266,8 @@ def test_intervals_cover():
 
 def test_standard_errors_are_the_spread_when_the_noise_is_known():
     _, phi, y = problem(18)
-    Y = y[:, None] + coloured(19, len(y), 400)
-    white = spec(weight={"kind": "ar", "a": [0.9]}).weighted(phi, Y[:, 0]).white
+    Y = y + coloured(19, len(y), 400).T
+    white = spec(weight={"kind": "ar", "a": [0.9]}).weighted(phi, Y[0]).white
     found = two_stage(white, Y)
     errors = white.standard_errors(found.b, found.a, white.variance(Y, found.theta))
     for estimate, error in zip((found.b, found.a), errors, strict=True):
@@ -411,9 +409,7 @@ def test_cramer_rao_bound_is_reached_by_no_two_stage_estimate():
     limits = bound.fit(record, RNG).values
     assert bound.provides() == {f"value {name}" for name in limits}
     phi = regressors(powers(record.u, 5), 2)
-    found = two_stage(
-        Regression.of(phi, 2), record.y[2:, None] + np.random.default_rng(25).normal(size=(98, 4000))
-    )
+    found = two_stage(Regression.of(phi, 2), record.y[2:] + np.random.default_rng(25).normal(size=(4000, 98)))
     spread = np.concatenate([np.std(found.b, axis=0), np.std(found.a, axis=0)])
     ratio = spread / list(limits.values())
     assert np.all(ratio > 0.97)

@@ -25,6 +25,7 @@ from hident.config.spec import Count, Real, Spec
 from hident.errors import EstimationError
 from hident.numerics.choices import TIE, first_least
 from hident.numerics.parts import Parts, in_each, longer_than, whole
+from hident.numerics.stacks import times
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +35,8 @@ class ArModel:
     a: Array
     variance: float = 1.0
 
-    def whiten(self, rows: Array, parts: Parts | None = None) -> Array:
-        """Multiply ``rows`` (N,) or (N, K) by a root F of the inverse covariance: F'F = variance R^-1.
+    def whiten(self, signals: Array, parts: Parts | None = None) -> Array:
+        """Multiply ``signals`` (..., N) by a root F of the inverse covariance: F'F = variance R^-1.
 
         R is the covariance of N stationary samples, those of different experiments uncorrelated; it is never
         formed.
@@ -46,16 +47,17 @@ class ArModel:
             If the model is not stationary.
         """
         root = self._root_of_start()
-        return in_each(parts or whole(len(rows)), lambda part: self._whitened(part, root), rows)
+        parts = parts or whole(signals.shape[-1])
+        return np.concatenate([self._whitened(signals[..., part], root) for part in parts], axis=-1)
 
-    def _whitened(self, rows: Array, root: Array) -> Array:
-        p = len(self.a)
-        if len(rows) < p:
-            return _root_of_first(root, len(rows)) @ rows
-        whitened = rows.astype(float)
+    def _whitened(self, signals: Array, root: Array) -> Array:
+        p, n = len(self.a), signals.shape[-1]
+        if n < p:
+            return times(signals, _root_of_first(root, n).T)
+        whitened = signals.astype(float)
         for k, a in enumerate(self.a, start=1):
-            whitened[p:] -= a * rows[p - k : len(rows) - k]
-        whitened[:p] = root @ rows[:p]
+            whitened[..., p:] -= a * signals[..., p - k : n - k]
+        whitened[..., :p] = times(signals[..., :p], root.T)
         return whitened
 
     def _root_of_start(self) -> Array:

@@ -6,7 +6,7 @@ phi_j    the m known functions whose combination sum_j a_j phi_j is the nonlinea
 b        the n coefficients of the linear block, of length one, the first non-zero one positive
 Phi      regressors phi_j(x(t-i)), shape (rows, n m): the lag i runs faster than j
 Theta    the n x m matrix of the coefficients of Phi; b a' for a Hammerstein system
-F        a root of the weighting matrix, W = F'F, given as a map of rows
+F        a root of the weighting matrix, W = F'F, given as a map of signals
 =======  ====================================================================================
 
 Equation numbers are those of Wang, Zhang, Ljung 2009.
@@ -24,17 +24,18 @@ from numpy.lib.stride_tricks import sliding_window_view
 from hident.arrays import Array
 from hident.errors import EstimationError
 from hident.numerics.least_squares import Factorisation, lengths
+from hident.numerics.stacks import times
 
 Root = Callable[[Array], Array]
-"""Multiplies rows (N,) or (N, K) by F from the left, giving (M,) or (M, K)."""
+"""Multiplies signals (..., N) by F, giving (..., M)."""
 
 _ZERO = 1e-12
 """Modulus up to which an entry of the unit vector b counts as zero."""
 
 
-def identity(rows: Array) -> Array:
+def identity(signals: Array) -> Array:
     """The root of W = I."""
-    return rows
+    return signals
 
 
 def root_of(W: Array) -> Root:
@@ -50,10 +51,10 @@ def root_of(W: Array) -> Root:
     if not np.allclose(W, W.T, rtol=1e-9, atol=1e-12 * float(np.max(np.abs(W), initial=0.0))):
         raise ValueError("W must be symmetric positive definite: it is not symmetric")
     try:
-        upper = np.linalg.cholesky(W).T
+        lower = np.asarray(np.linalg.cholesky(W), dtype=float)
     except np.linalg.LinAlgError:
         raise ValueError("W must be symmetric positive definite: it is not positive definite") from None
-    return lambda rows: upper @ rows
+    return lambda signals: times(signals, lower)
 
 
 def regressors(basis: Array, n: int, delay: int = 1) -> Array:
@@ -103,38 +104,30 @@ class Regression:
             If there are fewer rows than regressors, or the regressors are linearly dependent (assumption 2
             fails); the message names them and says what would separate them.
         """
-        weighted = root(phi)
         if len(phi) < phi.shape[1]:
             raise EstimationError(
                 f"{len(phi)} equations cannot determine {phi.shape[1]} coefficients: "
                 "use a longer record, fewer lags or fewer basis functions"
             )
-        factors = Factorisation.of(weighted)
+        factors = Factorisation.of(root(phi.T).T)
         if len(null := factors.null):
             raise EstimationError(_dependence(phi, n, delay, null))
         upper = factors.r * factors.length
         return cls(phi, n, root, factors.q, upper, factors.inverse_root)
 
     def projected(self, y: Array) -> Array:
-        """Q'F y: all that the estimates need of ``y`` (rows,) or (rows, T)."""
-        return self.q.T @ self.root(y)
+        """Q'F y: all that the estimates need of the outputs ``y`` (..., rows)."""
+        return times(self.root(y), self.q)
 
     def theta(self, y: Array) -> Array:
-        """The unconstrained weighted estimate of Theta from ``y`` (rows,) or (rows, T), Eq. (12).
-
-        The shape is (n, m) or (T, n, m).
-        """
-        return self.folded(self.g @ self.projected(y))
-
-    def folded(self, vector: Array) -> Array:
-        """Theta (..., n, m) from its stacked columns (n m, ...)."""
-        stacked = np.moveaxis(vector, 0, -1)
+        """The unconstrained weighted estimate of Theta (..., n, m) from ``y`` (..., rows), Eq. (12)."""
+        stacked = times(self.projected(y), self.g.T)
         return stacked.reshape(*stacked.shape[:-1], -1, self.n).swapaxes(-1, -2)
 
     def residuals(self, y: Array, theta: Array) -> Array:
-        """y - Phi Theta, of the shape of ``y``, for Theta (n, m) or (T, n, m)."""
+        """y - Phi Theta, of the shape of ``y`` (..., rows), for Theta (..., n, m)."""
         stacked = theta.swapaxes(-1, -2).reshape(*theta.shape[:-2], -1)
-        return y - self.phi @ stacked.T
+        return y - times(stacked, self.phi.T)
 
     def covariance_roots(self, b: Array, a: Array) -> tuple[Array, Array]:
         """Roots of the covariances of b and a by the delta method, for a noise with W^-1 as covariance.
@@ -143,10 +136,13 @@ class Regression:
         each times its transpose is the covariance.
         """
         # At Theta = b a': db = (I - b b') dTheta a / |a|^2 and da = dTheta' b, for dTheta from g.
-        g = self.g.reshape(-1, self.n, len(self.g))
-        along = np.einsum("...j,jik->...ik", a, g) / np.sum(a * a, axis=-1)[..., None, None]
-        within = np.einsum("...i,...ik->...k", b, along)
-        return along - b[..., :, None] * within[..., None, :], np.einsum("...i,jik->...jk", b, g)
+        n, m, columns = b.shape[-1], a.shape[-1], len(self.g)
+        g = self.g.reshape(m, n, columns)
+        along = times(a, g.reshape(m, -1)).reshape(*b.shape, columns)
+        along /= np.sum(a * a, axis=-1)[..., None, None]
+        within = np.matmul(b[..., None, :], along)
+        of_a = times(b, g.swapaxes(0, 1).reshape(n, -1)).reshape(*a.shape, columns)
+        return along - b[..., :, None] * within, of_a
 
     def standard_errors(self, b: Array, a: Array, variance: Array) -> tuple[Array, Array]:
         """Those of b (..., n) and a (..., m), for a noise of covariance ``variance`` (...) times W^-1."""
@@ -161,7 +157,7 @@ class Regression:
         """
         spare = len(self.phi) - self.phi.shape[1]
         weighted = self.root(self.residuals(y, theta))
-        return np.asarray(np.sum(weighted**2, axis=0) / (spare or np.nan))
+        return np.asarray(np.sum(weighted**2, axis=-1) / (spare or np.nan))
 
 
 def inverse_gram(regression: Regression) -> Root:
@@ -171,7 +167,7 @@ def inverse_gram(regression: Regression) -> Root:
     squared distance between Theta and b a', which the singular value decomposition minimises: theorem 2.
     Composed with a root F, and for F's own regression, it is the root of theorem 3's W-tilde.
     """
-    return lambda rows: regression.g @ regression.projected(rows)
+    return lambda signals: times(regression.projected(signals), regression.g.T)
 
 
 def normalised(b: Array, a: Array) -> tuple[Array, Array]:
@@ -186,7 +182,7 @@ def normalised(b: Array, a: Array) -> tuple[Array, Array]:
 def loss(regression: Regression, y: Array, b: Array, a: Array, root: Root) -> Array:
     """r'W r for the residuals r of b (..., n) and a (..., m): what the paper prints, without (10)'s 1/2."""
     weighted = root(regression.residuals(y, b[..., :, None] * a[..., None, :]))
-    return np.asarray(np.sum(weighted**2, axis=0))
+    return np.asarray(np.sum(weighted**2, axis=-1))
 
 
 def _dependence(phi: Array, n: int, delay: int, null: Array) -> str:

@@ -5,7 +5,9 @@ Symbols are in :mod:`hident.estimators.bilinear_models.bilinear`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import repeat
 from typing import Annotated, Literal
 
 import numpy as np
@@ -13,6 +15,7 @@ from pydantic import Field
 
 from hident.arrays import Array
 from hident.config.spec import Count, Flag, Real, Spec, component
+from hident.errors import EstimationError
 from hident.estimators.bilinear_models.bilinear import Regression, loss, normalised
 from hident.estimators.bilinear_models.two_stage import Weighted, WeightedBilinearSpec, two_stage
 from hident.estimators.convergence import Unconverged, settle
@@ -158,27 +161,31 @@ class BilinearLeastSquares(WeightedBilinearSpec):
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset({"nonlinearity", "linear"} if self.start == "truth" else ())
 
-    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
-        phi, y, parts = self.data(record)
-        weighted = self.weighted(phi, y, parts)
-        regression = weighted.regression
-        first = two_stage(regression, y)
-        b, a = (first.b, first.a) if self.start == "two_stage" else self.true_parameters(record)
-        stop = {} if self.stop is None else self.stop.model_dump()
-        found = bilinear_least_squares(regression, y, b, a, normalise=self.normalise, **stop)
-        settle(found.converged, found.iterations, self.unconverged)
-        return self.estimate(
-            weighted,
-            y,
-            (found.b, found.a),
-            self._standard_errors(weighted, y, found),
-            values={"iterations": float(found.iterations), "converged": float(found.converged)},
-        )
+    def solved(self, weighted: Weighted, y: Array, record: Record) -> list[Estimate | EstimationError]:
+        first = two_stage(weighted.regression, y)
+        starts: Iterable[tuple[Array, Array]] = zip(first.b, first.a, strict=True)
+        if self.start == "truth":
+            starts = repeat(self.true_parameters(record), len(y))
+        return [self._solved(weighted, *of) for of in zip(y, starts, strict=True)]
 
-    def _standard_errors(self, weighted: Weighted, y: Array, found: Solution) -> tuple[Array, Array]:
+    def _solved(self, weighted: Weighted, y: Array, start: tuple[Array, Array]) -> Estimate | EstimationError:
+        """The estimate from the output ``y`` (rows,) of one trial."""
+        stop = {} if self.stop is None else self.stop.model_dump()
+        found = bilinear_least_squares(weighted.regression, y, *start, normalise=self.normalise, **stop)
+        try:
+            settle(found.converged, found.iterations, self.unconverged)
+        except EstimationError as error:
+            return error
+        errors = self._standard_errors(weighted, y, *normalised(found.b, found.a))
+        [estimate] = self.estimates(
+            weighted, y[None], (found.b[None], found.a[None]), (errors[0][None], errors[1][None])
+        )
+        ended = {"iterations": float(found.iterations), "converged": float(found.converged)}
+        return replace(estimate, values={**estimate.values, **ended})
+
+    def _standard_errors(self, weighted: Weighted, y: Array, b: Array, a: Array) -> tuple[Array, Array]:
         """Those of the normalised parameters; they assume white noise unless its covariance is the weight."""
         white = weighted.white
-        b, a = normalised(found.b, found.a)
         if self.weight == "inverse_gram":
             # Theorem 2: the solution is the unweighted two-stage estimate.
             return white.standard_errors(b, a, white.variance(y, white.theta(y)))

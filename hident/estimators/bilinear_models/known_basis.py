@@ -6,6 +6,7 @@ Symbols are in :mod:`hident.estimators.bilinear_models.bilinear`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Self
 
 import numpy as np
@@ -88,11 +89,20 @@ class LaggedSpec(EstimatorSpec):
         EstimationError
             If no experiment is long enough for the lags, or the output is not finite or constant.
         """
+        phi, parts = self.design(record)
+        return phi, self.outputs(record), parts
+
+    def outputs(self, record: Record) -> Array:
+        """The outputs (rows,) that are regressed.
+
+        Raises
+        ------
+        EstimationError
+            If the output is not finite or constant, or no experiment is long enough for the lags.
+        """
         require_finite(record.y)
         require_varying(record.y, "output")
-        phi, parts = self.design(record)
-        long = longer_than(record.experiments, self.first)
-        return phi, in_each(long, lambda y: y[self.first :], record.y), parts
+        return in_each(self._long_enough(record), lambda y: y[self.first :], record.y)
 
     def design(self, record: Record) -> tuple[Array, Parts]:
         """The regressors Phi (rows, n m), and where the rows of each experiment stand.
@@ -103,13 +113,17 @@ class LaggedSpec(EstimatorSpec):
             If no experiment is long enough for the lags.
         """
         self.require_experiments(record)
+        parts = self._long_enough(record)
+        # The basis has a row for each function, the regressors one for each sample.
+        phi = in_each(parts, lambda x: regressors(self.basis_values(x), self.lags, self.delay), record.u)
+        return phi, following(parts, self.first)
+
+    def _long_enough(self, record: Record) -> Parts:
         parts = longer_than(record.experiments, self.first)
         if not parts:
             longest = max(part.stop - part.start for part in record.experiments)
             raise EstimationError(f"{longest} samples are too few for the lags {self.delay} to {self.first}")
-        # The basis has a row for each function, the regressors one for each sample.
-        phi = in_each(parts, lambda x: regressors(self.basis_values(x), self.lags, self.delay), record.u)
-        return phi, following(parts, self.first)
+        return parts
 
     def check_record(self, record: Record) -> None:
         phi, _ = self.design(record)
@@ -144,6 +158,10 @@ class BilinearSpec(LaggedSpec):
         return self
 
     def functions(self) -> tuple[NonlinearitySpec, ...]:
+        return self._functions
+
+    @cached_property
+    def _functions(self) -> tuple[NonlinearitySpec, ...]:
         if self.basis is not None:
             return self.basis
         assert self.degree is not None  # by validation

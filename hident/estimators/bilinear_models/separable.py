@@ -38,6 +38,7 @@ from hident.linear_blocks import TransferFunction
 from hident.numerics.gauss_newton import gauss_newton
 from hident.numerics.least_squares import Factorisation
 from hident.numerics.parts import Parts, in_each, whole
+from hident.numerics.stacks import times
 from hident.records import Estimate, Record
 
 _PREFILTERINGS = 10
@@ -156,8 +157,8 @@ def inner_solution(
     X, H = _filtered(f, phi, parts), _filtered(f, _impulses(p, parts), parts)
     q = np.linalg.qr(H).Q
 
-    def without_start(rows: Array) -> Array:
-        return rows - q @ (q.T @ rows)
+    def without_start(signals: Array) -> Array:
+        return signals - times(times(signals, q), q.T)
 
     regression = Regression.of(X, n, without_start)
     if guess is None:

@@ -5,10 +5,9 @@ Symbols are in :mod:`hident.estimators.bilinear_models.bilinear`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -52,12 +51,11 @@ def leading(theta: Array) -> Array:
     Two rows or columns take one Jacobi rotation, which works on all matrices at once; others are LAPACK's.
     """
     if theta.shape[-1] == 2 < theta.shape[-2]:
-        b = np.einsum("...ij,...j->...i", theta, leading(theta.swapaxes(-1, -2)))
+        b = (theta @ leading(theta.swapaxes(-1, -2))[..., None])[..., 0]
         return np.asarray(b / np.linalg.norm(b, axis=-1, keepdims=True))
     if theta.shape[-2] == 2:
         x, y = theta[..., 0, :], theta[..., 1, :]
-        along = np.einsum("...j,...j->...", x + y, x - y)
-        angle = 0.5 * np.arctan2(2.0 * np.einsum("...j,...j->...", x, y), along)
+        angle = 0.5 * np.arctan2(2.0 * np.sum(x * y, axis=-1), np.sum((x + y) * (x - y), axis=-1))
         return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     return np.asarray(np.linalg.svd(theta, full_matrices=False).U[..., 0])
 
@@ -69,13 +67,13 @@ def two_stage(regression: Regression, y: Array) -> TwoStageFit:
     ----------
     regression : Regression
         The regressors with their weighting, factored; it serves any number of calls.
-    y : array, shape (rows,) or (rows, T)
-        The output of one trial, or of T trials with the same input.
+    y : array, shape (..., rows)
+        The output of one trial, or of any number of trials with the same input.
 
     Returns
     -------
     TwoStageFit
-        Its arrays begin with an axis of length T for T trials.
+        Its arrays begin with the axes of the trials; their bytes do not depend on how many there are.
 
     Raises
     ------
@@ -92,7 +90,7 @@ def two_stage(regression: Regression, y: Array) -> TwoStageFit:
         raise EstimationError("the output does not depend on the input: the estimate of b a' is zero")
     # Eq. (13), (14): s_1 sigma_1 v_1 is Theta' s_1 u_1
     b = leading(theta)
-    b, a = normalised(b, np.einsum("...ij,...i->...j", theta, b))
+    b, a = normalised(b, (b[..., None, :] @ theta)[..., 0, :])
     return TwoStageFit(b, a, theta)
 
 
@@ -211,43 +209,56 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
         values = {f"value {name}" for name in (*self.names(), *self.names("se_"), "loss")}
         return self.noise_names() | values | {"nonlinearity", "linear"}
 
-    def estimate(
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
+        [found] = self.fit_many([record])
+        if isinstance(found, EstimationError):
+            raise found
+        return found
+
+    def fit_many(self, records: Sequence[Record]) -> list[Estimate | EstimationError]:
+        """Records of one input share the regressors and their weights, unless the output decides these."""
+        first = records[0]
+        apart = isinstance(self.weight, EstimatedAr) or any(
+            record.u is not first.u or record.experiments != first.experiments for record in records
+        )
+        if apart and len(records) > 1:
+            return [found for record in records for found in self.fit_many([record])]
+        y = np.stack([self.outputs(record) for record in records])
+        phi, parts = self.design(first)
+        return self.solved(self.weighted(phi, y[0], parts), y, first)
+
+    def solved(self, weighted: Weighted, y: Array, record: Record) -> list[Estimate | EstimationError]:
+        """The estimates from the outputs ``y`` (T, rows) of T trials with the input of ``record``."""
+        raise NotImplementedError
+
+    def estimates(
         self,
         weighted: Weighted,
         y: Array,
         parameters: tuple[Array, Array],
         errors: tuple[Array, Array],
-        *,
-        values: Mapping[str, float] = MappingProxyType({}),
-    ) -> Estimate:
-        """The estimate of b (n,) and a (m,), with standard ``errors``, from the outputs ``y`` (rows,).
-
-        ``values`` are what the method adds to those of all.
-        """
+    ) -> list[Estimate]:
+        """Those of b (T, n) and a (T, m), with standard ``errors``, from the outputs ``y`` (T, rows)."""
         b, a = parameters
-        regression = weighted.regression
-        least = {"loss": float(loss(regression, y, b, a, regression.root))}
-        return Estimate(
-            nonlinearity=self.nonlinearity(a),
-            linear=self.linear(b),
-            values={
-                **self.named(b, a),
-                **self.named(*errors, prefix="se_"),
-                **least,
-                **weighted.order_value(),
-                **values,
-            },
-        )
+        least = loss(weighted.regression, y, b, a, weighted.regression.root)
+        names = (*self.names(), *self.names("se_"), "loss")
+        rows = np.concatenate([b, a, *errors, least[:, None]], axis=1).tolist()
+        return [
+            Estimate(
+                nonlinearity=self.nonlinearity(a_of_one),
+                linear=self.linear(b_of_one),
+                values=dict(zip(names, row, strict=True)) | weighted.order_value(),
+            )
+            for b_of_one, a_of_one, row in zip(b, a, rows, strict=True)
+        ]
 
 
 @component("estimator", "two_stage", source="Wang, Zhang, Ljung 2009, eq. (12)-(14), (17), section 3.3")
 class TwoStage(WeightedBilinearSpec):
     """Hammerstein system by linear least squares and a singular value decomposition."""
 
-    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
-        phi, y, parts = self.data(record)
-        weighted = self.weighted(phi, y, parts)
+    def solved(self, weighted: Weighted, y: Array, record: Record) -> list[Estimate | EstimationError]:
         found = two_stage(weighted.regression, y)
         variance = weighted.white.variance(y, weighted.white.theta(y))
         errors = weighted.white.standard_errors(found.b, found.a, variance)
-        return self.estimate(weighted, y, (found.b, found.a), errors)
+        return [*self.estimates(weighted, y, (found.b, found.a), errors)]

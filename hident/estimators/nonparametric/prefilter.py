@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -19,7 +20,7 @@ from hident.estimators.base import EstimatorSpec, Experiments, require_varying
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.linear_blocks import TransferFunction, significant
 from hident.numerics.parts import Parts, in_each, longer_than, whole
-from hident.records import Estimate, Record
+from hident.records import Estimate, Record, needed
 
 
 def prefilter(y: Array, linear: TransferFunction, parts: Parts | None = None) -> Array:
@@ -149,6 +150,14 @@ class _OfDynamics(Of):
         return spec
 
 
+def _filtered(
+    spec: EstimatorSpec, record: Record, rng: np.random.Generator | None
+) -> tuple[Estimate, Record]:
+    """The linear block, and the record with it undone."""
+    dynamics = spec.fit(record, rng)
+    return dynamics, FilteredRecord.of(record, needed(dynamics.linear))
+
+
 class NonparametricSpec(EstimatorSpec):
     """Base of the estimators of a characteristic by regression, on the output or the filtered output.
 
@@ -190,10 +199,16 @@ class NonparametricSpec(EstimatorSpec):
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         self.require_experiments(record)
         require_varying(record.u, "input")
-        dynamics = self.prefilter.fit(record, rng) if self.prefilter else Estimate()
-        if dynamics.linear is not None:
-            record = FilteredRecord.of(record, dynamics.linear)
-        return replace(dynamics, nonlinearity=self._anchored(self.regression(record)))
+        dynamics, samples = Estimate(), record
+        if self.prefilter is not None:
+            make = partial(_filtered, self.prefilter, record, rng)
+            dynamics, samples = make() if self.prefilter.draws() else record.once(self._shared, make)
+        return replace(dynamics, nonlinearity=self._anchored(self.regression(samples)))
+
+    @cached_property
+    def _shared(self) -> Hashable:
+        """What estimators with one and the same prefilter have in common; a plugin's may have no hash."""
+        return type(self.prefilter), repr(self.prefilter)
 
     def _anchored(self, regression: Characteristic) -> Characteristic:
         if self.known_point is None:
