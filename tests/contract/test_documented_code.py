@@ -1,6 +1,7 @@
 """README.md and docs/python.md: their code, configurations and commands run, and their tables are true."""
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,7 +100,7 @@ def test_every_page_and_file_that_is_linked_is_there():
 @pytest.fixture(scope="module")
 def space(folder):
     """The names that the code of docs/python.md leaves behind, with one trial in place of twenty."""
-    space = {}
+    space: dict[str, Any] = {}
     with pytest.MonkeyPatch.context() as monkeypatch:
         monkeypatch.chdir(folder)
         for code in (*blocks("docs/python.md", "python"), RUN):

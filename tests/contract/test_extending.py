@@ -1,5 +1,6 @@
 """docs/extending.md: its files, commands and script do what the page says."""
 
+import csv
 import lzma
 import shlex
 import subprocess
@@ -72,12 +73,11 @@ def test_the_commands_run(said, folder):
 
 
 def test_the_estimates_are_good(said, folder):
-    import pandas as pd
-
-    table = pd.read_csv(folder / "out/valve/table.csv").query("share == 0").set_index("metric")
-    assert (table["failed"] == 0).all()
-    assert table.loc["largest", "median"] < 0.05
-    assert abs(table.loc["b b_1", "mean"]) < 3 * table.loc["b b_1", "se"]
+    with (folder / "out/valve/table.csv").open(encoding="utf-8") as file:
+        without = {row["metric"]: row for row in csv.DictReader(file) if float(row["share"]) == 0}
+    assert {row["failed"] for row in without.values()} == {"0"}
+    assert float(without["largest"]["median"]) < 0.05
+    assert abs(float(without["b b_1"]["mean"])) < 3 * float(without["b b_1"]["se"])
 
 
 def test_another_store_and_executor_give_the_same_trials(said, folder):
