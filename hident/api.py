@@ -35,7 +35,7 @@ from hident.engine.experiment import Experiment, Plan
 from hident.engine.fingerprint import without_source
 from hident.engine.preflight import check_records
 from hident.engine.results import Results
-from hident.engine.store import Store
+from hident.engine.store import Store, TrialStore
 from hident.engine.trial import Data, Job, generate
 from hident.errors import ConfigError
 from hident.estimators.base import EstimatorSpec
@@ -314,7 +314,7 @@ def run(
     *,
     trials: int | None = None,
     seed: int | None = None,
-    store: str | Path | None = None,
+    store: str | Path | TrialStore | None = None,
     executor: Executor | int | None = None,
     overrides: Mapping[str, Any] = _NONE,
 ) -> Results:
@@ -324,9 +324,9 @@ def run(
     ----------
     experiment, trials, seed, overrides
         As in :func:`validate`.
-    store : str or Path, optional
-        Folder of a trials store, such as ``.hident``: what it holds is not computed again. By default
-        nothing is kept.
+    store : str, Path or TrialStore, optional
+        Folder of a trials store, such as ``.hident``, or any object that keeps trials: what it holds is not
+        computed again. By default nothing is kept.
     executor : Executor or int, optional
         Where trials run: a number of worker processes, or any ``concurrent.futures.Executor``. By default
         here. The numbers do not depend on it. A script that starts processes needs the usual
@@ -372,7 +372,8 @@ def run(
         _require_source(plan)
     check_records(plan)
     with ExitStack() as stack, _as_in_a_run():
-        writer = None if store is None else stack.enter_context(Store(Path(store)).writing())
+        if isinstance(store, str | Path):
+            store = stack.enter_context(Store(Path(store)).writing())
         workers = 1
         if isinstance(executor, Executor):
             workers = usable_cores()
@@ -380,7 +381,7 @@ def run(
             workers, executor = executor, make_executor(executor, plan.plugin_files)
             stack.enter_context(executor)
         try:
-            return runner.run(plan, store=writer, executor=executor, workers=workers)
+            return runner.run(plan, store=store, executor=executor, workers=workers)
         except runner.CrashReport as crash:
             crash.add_note(crash.tracebacks)
             raise

@@ -208,6 +208,8 @@ class Spec(BaseModel, metaclass=_Meta):
         cls, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
         found = handler.resolve_ref_schema(handler(schema))
+        if text := own_docstring(cls):
+            found["description"] = text
         for name, meaning in meanings(cls).items():
             found["properties"][name]["description"] = meaning
         return found
@@ -236,8 +238,8 @@ def _as_written(loc: tuple[str | int, ...], data: Any, message: str) -> tuple[st
 
 
 def own_docstring(cls: type) -> str:
-    """The docstring of the class itself: that of a base may not be true of it."""
-    return inspect.cleandoc(cls.__doc__ or "")
+    """The docstring of the class itself, up to its examples: that of a base may not be true of it."""
+    return inspect.cleandoc(cls.__doc__ or "").partition("\n\nExamples\n")[0]
 
 
 class Component(Spec):

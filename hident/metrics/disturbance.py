@@ -31,7 +31,16 @@ def _check_first_coefficient(scored: Scored) -> None:
 
 @component("metric", "disturbance_variance", source="Mzyk 2009, section IV-C")
 class DisturbanceVariance(MetricSpec):
-    """Variance of the output (or of the filtered output) about the nonlinearity's output w_k."""
+    """Variance of the output (or of the filtered output) about the nonlinearity's output w_k.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Ar(a=[0.5]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 5000)
+    >>> round(hi.score(hi.Estimate(), record, variance=hi.DisturbanceVariance())["variance"], 2)
+    0.03
+    """
 
     filtered: Flag = False
     """Filter the output of each experiment by the inverse of the estimated linear block first, eq. (14)."""
@@ -61,7 +70,17 @@ class DisturbanceVariance(MetricSpec):
 
 @component("metric", "disturbance_variance_formula", source="Mzyk 2009, eq. (20), (21)")
 class DisturbanceVarianceFormula(MetricSpec):
-    """The variance that (20) gives, or (21) without its term c_v/N, from the true linear block."""
+    """The variance that (20) gives, or (21) without its term c_v/N, from the true linear block.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Ar(a=[0.5]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> formula = hi.DisturbanceVarianceFormula(noise_variance=0.1, w_variance=0.3)
+    >>> round(hi.score(hi.Estimate(), record, variance=formula)["variance"], 6)
+    0.2
+    """
 
     noise_variance: Real
     """Variance sigma_z^2 of the output noise."""

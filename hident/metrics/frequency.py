@@ -163,7 +163,15 @@ def _product(name: str, values: Mapping[str, float]) -> float:
 
 @component("metric", "response")
 class Response(_Estimated):
-    """Estimated gains and phases of the two linear blocks at the frequencies of the sines."""
+    """Estimated gains and phases of the two linear blocks at the frequencies of the sines.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> estimate = hi.Estimate(values={"gain_i_1": 0.7, "gain_i_2": 0.5})
+    >>> hi.score(estimate, hi.Record([0], [0]), found=hi.Response(of=["gain_i_1..2"]))
+    {'found gain_i_1': 0.7, 'found gain_i_2': 0.5}
+    """
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         return self.estimates(estimate)
@@ -171,7 +179,18 @@ class Response(_Estimated):
 
 @component("metric", "true_response")
 class TrueResponse(_True):
-    """True gains and phases of the two linear blocks at the frequencies of all the record's sines."""
+    """True gains and phases of the two linear blocks at the frequencies of all the record's sines.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> block = hi.Continuous(a=[1])
+    >>> system = hi.WienerHammerstein(input_linear=block, nonlinearity="identity", output_linear=block)
+    >>> record = hi.simulate(system, hi.Sine(frequency=1), 8, dt=0.1)
+    >>> scores = hi.score(hi.Estimate(), record, true=hi.TrueResponse(of=["gain_i_1"]))
+    >>> round(scores["true gain_i_1"], 3)
+    0.707
+    """
 
     def check(self, scored: Scored) -> None:
         super().check(scored)
@@ -186,7 +205,18 @@ class TrueResponse(_True):
 
 @component("metric", "response_error")
 class ResponseError(_Estimated, _True):
-    """Estimated minus true gains and phases of the two linear blocks."""
+    """Estimated minus true gains and phases of the two linear blocks.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> block = hi.Continuous(a=[1])
+    >>> system = hi.WienerHammerstein(input_linear=block, nonlinearity="identity", output_linear=block)
+    >>> record = hi.simulate(system, hi.Sine(frequency=1), 8, dt=0.1)
+    >>> estimate = hi.Estimate(values={"omega_1": 1.0, "gain_i_1": 0.8})
+    >>> round(hi.score(estimate, record, error=hi.ResponseError(of=["gain_i_1"]))["error gain_i_1"], 3)
+    0.093
+    """
 
     relative: Flag = False
     """In percent of the true gain or phase."""
@@ -214,6 +244,16 @@ class GainShapeError(MetricSpec):
 
     A best linear approximation knows the blocks up to a factor only. Its gains gain_K are taken at the
     harmonics of the multisines, those of sines at their own frequencies, lowest first.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> block = hi.Continuous(a=[1])
+    >>> system = hi.WienerHammerstein(input_linear=block, nonlinearity="identity", output_linear=block)
+    >>> record = hi.simulate(system, hi.Multisine(period=64, rms=1), 64, dt=0.1)
+    >>> estimate = hi.Estimate(values={"gain_1": 0.6, "gain_3": 0.1})
+    >>> round(hi.score(estimate, record, shape=hi.GainShapeError(harmonics=[1, 3]))["shape"], 1)
+    13.9
     """
 
     harmonics: Annotated[tuple[Annotated[Count, Field(ge=1)], ...], Field(min_length=2)]
@@ -262,6 +302,16 @@ class MovedDelay(MetricSpec):
 
     A change below the accuracy of the simulation, 1e-11, is the rounding of two ways to compute one output,
     and counts as zero.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> late = hi.Continuous(a=[1], delay=0.5)
+    >>> system = hi.WienerHammerstein(input_linear=late, nonlinearity="identity", output_linear=late)
+    >>> sine = {"name": "sine", "excitation": hi.Sine(frequency=1), "periods": 1, "samples_per_period": 16}
+    >>> record = hi.simulate(system, hi.Experiments(parts=[sine]), 16, dt=0.1)
+    >>> hi.score(hi.Estimate(), record, change=hi.MovedDelay(experiments=["sine"]))
+    {'change sine': 0.0}
     """
 
     experiments: NonEmpty[str]

@@ -68,7 +68,17 @@ def _parameters(block: TransferFunction) -> tuple[np.ndarray, np.ndarray]:
 
 @component("metric", "linear_percent_error", source="Chen, Hwang, Chang 2009, section 6, example 1")
 class LinearPercentError(MetricSpec):
-    """Percent error of the linear block's parameters in discrete time, its gain and delay apart."""
+    """Percent error of the linear block's parameters in discrete time, its gain and delay apart.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="chen_type_1", linear=hi.Continuous(a=[4, 4], delay=1))
+    >>> record = hi.simulate(system, hi.Multistep(switching_time=1, std=1), 50, dt=0.1)
+    >>> estimate = hi.Estimate(continuous=hi.ContinuousTransferFunction(b=(1.0,), a=(4.0, 5.0)))
+    >>> round(hi.score(estimate, record, error=hi.LinearPercentError(step=1))["error"], 1)
+    11.6
+    """
 
     step: Annotated[Real, Field(gt=0)] | None = None
     """Sampling interval at which the blocks are compared, in the unit of dt (default: dt itself)."""
@@ -107,7 +117,15 @@ class LinearPercentError(MetricSpec):
 
 @component("metric", "settling_time", source="Chen, Hwang, Chang 2009, example 5")
 class SettlingTime(MetricSpec):
-    """Time after which the step response of the estimated linear block stays in a band; delay apart."""
+    """Time after which the step response of the estimated linear block stays in a band; delay apart.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> estimate = hi.Estimate(continuous=hi.ContinuousTransferFunction(b=(1.0,), a=(2.0,)))
+    >>> round(hi.score(estimate, hi.Record([0], [0]), settling=hi.SettlingTime(band=0.05))["settling"], 2)
+    5.99
+    """
 
     band: Annotated[Real, Field(gt=0, lt=1)] = 0.05
     """Half the width of the band, relative to the final value."""
@@ -132,6 +150,16 @@ class ValidationPercentError(MetricSpec):
     """Percent error of the model's noise-free response to an input that it was not fitted to.
 
     Infinite for a model with an unstable linear block, whose response says nothing.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="identity", linear=hi.Ar(a=[0.5]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> estimate = hi.Estimate(response=lambda u, dt: 0.9 * system.simulate(u))
+    >>> validation = hi.ValidationPercentError(excitation=hi.Sine(period=20), samples=100)
+    >>> round(hi.score(estimate, record, error=validation)["error"], 1)
+    10.0
     """
 
     excitation: Annotated[ExcitationSpec, Of("excitation")]

@@ -79,6 +79,16 @@ class IntegratedSquaredError(_OnInterval):
     samples`` is the interval's length times the mean squared error at the record's inputs inside it, which
     estimates the same integral when the input is uniform there, but scores the estimate only where a sample
     supports it.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Ar(a=[0.5]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> estimate = hi.Estimate(nonlinearity=lambda u: np.abs(u) + 0.5)
+    >>> scores = hi.score(estimate, record, ise=hi.IntegratedSquaredError(interval=[-1, 1]))
+    >>> round(scores["ise"], 6)
+    0.5
     """
 
     at: Literal["grid", "samples"] = "grid"
@@ -103,7 +113,18 @@ class IntegratedSquaredError(_OnInterval):
 
 @component("metric", "nonlinearity_percent_error")
 class NonlinearityPercentError(_OnInterval):
-    """Root of the integrated squared error in percent of the root of the integrated squared truth."""
+    """Root of the integrated squared error in percent of the root of the integrated squared truth.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Ar(a=[0.5]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> estimate = hi.Estimate(nonlinearity=lambda u: 1.1 * np.abs(u))
+    >>> scores = hi.score(estimate, record, percent=hi.NonlinearityPercentError(interval=[-1, 1]))
+    >>> round(scores["percent"], 6)
+    10.0
+    """
 
     def check(self, scored: Scored) -> None:
         truth = scored.system.truth()

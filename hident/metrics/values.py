@@ -44,7 +44,14 @@ class _AgainstTruth(_OfValues):
 
 @component("metric", "value")
 class Value(_EachValue):
-    """The estimated values themselves."""
+    """The estimated values themselves.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> hi.score(hi.Estimate(values={"a_1": 0.75}), hi.Record([0], [0]), a=hi.Value(of=["a_1"]))
+    {'a a_1': 0.75}
+    """
 
     prefix: str = ""
     """What stands before every name in the estimate, such as first_ for a first stage."""
@@ -58,7 +65,16 @@ class Value(_EachValue):
 
 @component("metric", "error")
 class Error(_EachValue, _AgainstTruth):
-    """Estimate minus truth: its mean over trials is the bias, its std the standard deviation."""
+    """Estimate minus truth: its mean over trials is the bias, its std the standard deviation.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Ar(a=[0.5]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> hi.score(hi.Estimate(values={"a_1": 0.75}), record, a=hi.Error(of=["a_1"]))
+    {'a a_1': 0.25}
+    """
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         return self.errors(estimate, record)
@@ -66,7 +82,16 @@ class Error(_EachValue, _AgainstTruth):
 
 @component("metric", "true_value")
 class TrueValue(_EachValue):
-    """The true values themselves, such as a steady state that the paper prints."""
+    """The true values themselves, such as a steady state that the paper prints.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Ar(a=[0.5]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> hi.score(hi.Estimate(), record, true=hi.TrueValue(of=["a_1"]))
+    {'true a_1': 0.5}
+    """
 
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset(f"value {name}" for name in self.of)
@@ -80,7 +105,15 @@ class TrueValue(_EachValue):
 
 @component("metric", "share")
 class Share(_EachValue):
-    """100 where the values equal a given number, else 0: its mean is the percentage of such trials."""
+    """100 where the values equal a given number, else 0: its mean is the percentage of such trials.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> estimate = hi.Estimate(values={"n": 2.0})
+    >>> hi.score(estimate, hi.Record([0], [0]), second_order=hi.Share(of=["n"], equals=2))
+    {'second_order n': 100.0}
+    """
 
     equals: Real
     """The number."""
@@ -91,7 +124,17 @@ class Share(_EachValue):
 
 @component("metric", "coverage")
 class Coverage(_EachValue, _AgainstTruth):
-    """100 where the interval by the estimate's own standard error holds the truth, else 0."""
+    """100 where the interval by the estimate's own standard error holds the truth, else 0.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Ar(a=[0.5]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> estimate = hi.Estimate(values={"a_1": 0.75, "se_a_1": 0.2})
+    >>> hi.score(estimate, record, held=hi.Coverage(of=["a_1"]))
+    {'held a_1': 100.0}
+    """
 
     confidence: Annotated[Real, Field(gt=0, lt=1)] = 0.95
     """Confidence level of the interval, by the normal distribution."""
@@ -108,7 +151,16 @@ class Coverage(_EachValue, _AgainstTruth):
 
 @component("metric", "percent_error", source="Chen, Hwang, Chang 2009, section 6, example 1")
 class PercentError(_AgainstTruth):
-    """Sum of absolute errors of the values in percent of the sum of their absolute truths."""
+    """Sum of absolute errors of the values in percent of the sum of their absolute truths.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Ar(a=[0.5]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> hi.score(hi.Estimate(values={"a_1": 0.75}), record, a=hi.PercentError(of=["a_1"]))
+    {'a': 50.0}
+    """
 
     def check(self, scored: Scored) -> None:
         values = scored.system.truth().values

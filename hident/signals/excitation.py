@@ -85,7 +85,14 @@ class _Random(ExcitationSpec):
 
 @component("excitation", "iid")
 class Iid(_Random):
-    """Independent, identically distributed values, a new one at every sample."""
+    """Independent, identically distributed values, a new one at every sample.
+
+    Examples
+    --------
+    >>> u = Iid(distribution="uniform", low=-1, high=1).sample(1000, 1.0, np.random.default_rng(1))
+    >>> u.shape, bool(np.all(np.abs(u) <= 1))
+    ((1000,), True)
+    """
 
     low: Real | None = None
     """Lower limit of the values (uniform only)."""
@@ -114,6 +121,12 @@ class Multistep(_Random):
 
     Differs from the paper: the levels may also be uniform. As there, gaussian levels beyond the limits
     are moved to them, which makes their standard deviation smaller than ``std``.
+
+    Examples
+    --------
+    >>> u = Multistep(switching_time=5, std=1).sample(20, 1.0, np.random.default_rng(1))
+    >>> u.shape, np.unique(u).size
+    ((20,), 4)
     """
 
     distribution: Literal["uniform", "gaussian"] = "gaussian"
@@ -150,6 +163,11 @@ class Prbs(ExcitationSpec):
     """Pseudo-random binary sequence of maximal length from a shift register with feedback.
 
     A period has 2^order - 1 chips, one more at the high level than at the low one.
+
+    Examples
+    --------
+    >>> Prbs(order=2, start="ones").sample(6, 1.0, np.random.default_rng(1))
+    array([ 1.,  1., -1.,  1.,  1., -1.])
     """
 
     order: Annotated[Count, Field(ge=2, le=20)]
@@ -171,7 +189,13 @@ class Prbs(ExcitationSpec):
 
 @component("excitation", "sine", source="Brouri, Eq. (15)")
 class Sine(ExcitationSpec):
-    """Sine wave: offset + amplitude sin(frequency t + phase)."""
+    """Sine wave: offset + amplitude sin(frequency t + phase).
+
+    Examples
+    --------
+    >>> Sine(period=4, offset=2).sample(4, 1.0, np.random.default_rng(1)).round(6)
+    array([2., 3., 2., 1.])
+    """
 
     amplitude: Real = 1.0
     """Amplitude of the sine."""
@@ -226,7 +250,13 @@ class Sine(ExcitationSpec):
 
 @component("excitation", "staircase", source="Brouri, Eq. (9)")
 class Staircase(ExcitationSpec):
-    """Given levels one after the other, each held for the same time; the last one goes on."""
+    """Given levels one after the other, each held for the same time; the last one goes on.
+
+    Examples
+    --------
+    >>> Staircase(levels=[0, 1], hold=2).sample(5, 1.0, np.random.default_rng(1))
+    array([0., 0., 1., 1., 1.])
+    """
 
     levels: Annotated[tuple[Real, ...], Field(min_length=1)]
     """The levels in their order."""
@@ -262,7 +292,14 @@ class Staircase(ExcitationSpec):
 
 @component("excitation", "multisine", source="Pintelon and Schoukens 2012")
 class Multisine(ExcitationSpec):
-    """Sum of harmonics of one period with equal amplitudes and independent uniform phases."""
+    """Sum of harmonics of one period with equal amplitudes and independent uniform phases.
+
+    Examples
+    --------
+    >>> u = Multisine(period=64, rms=2).sample(64, 1.0, np.random.default_rng(1))
+    >>> round(float(np.std(u)), 6)
+    2.0
+    """
 
     period: Annotated[Count, Field(ge=3)]
     """Period in samples."""
@@ -326,6 +363,13 @@ class Filtered(ExcitationSpec):
     A block that starts from ``zero`` or from past outputs does so at time 0, as if nothing had come before:
     the samples before the record are those past outputs, and zero before them. A ``stationary`` block is
     driven for its burn-in beforehand; a random excitation then begins that much earlier.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> steps = hi.Staircase(levels=[0, 1], hold=2)
+    >>> hi.Filtered(excitation=steps, linear=hi.Fir(b=[0.5, 0.5])).sample(5, 1.0, np.random.default_rng(1))
+    array([0. , 0. , 0.5, 1. , 1. ])
     """
 
     excitation: Annotated[ExcitationSpec, Of("excitation")]

@@ -68,6 +68,13 @@ class SteppedSine(_Several):
     """One experiment with a sine at each of several frequencies, over whole periods.
 
     Each has its own sampling interval, a whole fraction of its period; the experiments are named 1, 2, ...
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> excitation = hi.SteppedSine(frequencies=[0.5, 1], periods=2, samples_per_period=16)
+    >>> [(part.name, part.samples, round(part.dt, 3)) for part in excitation.stretches(64, 1.0)]
+    [('1', 32, 0.785), ('2', 32, 0.393)]
     """
 
     frequencies: tuple[Positive, ...] | None = None
@@ -205,6 +212,16 @@ class Experiments(_Several):
     Each starts anew, from its own steady state. Noise is added to the record as a whole, so that coloured
     noise runs on from one experiment into the next. Estimators that look back in time keep the experiments
     apart, and leave the first samples of each out as they do those of a record.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> stairs = {"name": "stairs", "excitation": hi.Staircase(levels=[0, 1], hold=2), "samples": 4}
+    >>> sine = {"name": "sine", "excitation": hi.Sine(period=8), "periods": 2, "samples_per_period": 16}
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Fir(b=[1]))
+    >>> record = hi.simulate(system, hi.Experiments(parts=[stairs, sine]), 36, dt=1)
+    >>> {name: (len(part), part.dt) for name, part in record.parts.items()}
+    {'stairs': (4, 1.0), 'sine': (32, 0.5)}
     """
 
     parts: tuple[ExperimentPart, ...]

@@ -60,7 +60,14 @@ class MatlabState(Spec):
 
 @component("streams", "matlab5", source="Marsaglia and Zaman 1991; Marsaglia and Tsang 1984")
 class Matlab5Streams(StreamsSpec):
-    """The generators of MATLAB 5 to 7 from given states; NumPy's for roles without a state."""
+    """The generators of MATLAB 5 to 7 from given states; NumPy's for roles without a state.
+
+    Examples
+    --------
+    >>> streams = Matlab5Streams(input={"state": 0})
+    >>> streams.generator("input", seed=1, key=0, trial=0).random(3).round(4)
+    array([0.9501, 0.2311, 0.6068])
+    """
 
     input: MatlabState | None = None
     """State of the random numbers of the input."""

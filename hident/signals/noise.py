@@ -64,7 +64,14 @@ class _Additive(NoiseSpec):
 
 @component("noise", "white", source="Chen, Hwang, Chang 2009, simulated examples (nsr)")
 class White(_Additive):
-    """White noise: independent, identically distributed values of mean zero."""
+    """White noise: independent, identically distributed values of mean zero.
+
+    Examples
+    --------
+    >>> noise = White(std=0.5).measure(np.zeros(10_000), np.random.default_rng(1))
+    >>> round(float(np.std(noise)), 1)
+    0.5
+    """
 
     half_width: Level | None = None
     """Level: the noise is uniform on [-half_width, half_width] (uniform only)."""
@@ -83,7 +90,14 @@ class White(_Additive):
 
 @component("noise", "ar", source="Wang, Zhang, Ljung 2009, example 2; Chen, Hwang, Chang 2009 (nsr)")
 class Autoregressive(_Additive):
-    """Autoregressive noise: white noise through 1/(1 - a_1 q^-1 - ... - a_p q^-p)."""
+    """Autoregressive noise: white noise through 1/(1 - a_1 q^-1 - ... - a_p q^-p).
+
+    Examples
+    --------
+    >>> noise = Autoregressive(a=[0.9], std=0.5).measure(np.zeros(10_000), np.random.default_rng(1))
+    >>> round(float(np.corrcoef(noise[1:], noise[:-1])[0, 1]), 1)
+    0.9
+    """
 
     a: Annotated[tuple[Real, ...], Field(min_length=1)]
     """Feedback coefficients a_1, ..., a_p."""
@@ -120,7 +134,13 @@ class Autoregressive(_Additive):
 
 @component("noise", "rounding", source="Chen, Hwang, Chang 2009, example 2, cases F and G")
 class Rounding(NoiseSpec):
-    """Rounding of the output to multiples of a step (halves to the even multiple)."""
+    """Rounding of the output to multiples of a step (halves to the even multiple).
+
+    Examples
+    --------
+    >>> Rounding(step=0.5).measure(np.array([0.2, 0.3]), np.random.default_rng(1))
+    array([0. , 0.5])
+    """
 
     step: Annotated[Real, Field(gt=0)]
     """Distance of the values that the instrument shows, in the unit of the output."""

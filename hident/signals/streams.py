@@ -40,7 +40,13 @@ class StreamsSpec(Component):
 
 @component("streams", "numpy")
 class NumpyStreams(StreamsSpec):
-    """NumPy's PCG64, seeded by SeedSequence with spawn keys."""
+    """NumPy's PCG64, seeded by SeedSequence with spawn keys.
+
+    Examples
+    --------
+    >>> NumpyStreams().generator("input", seed=1, key=0, trial=0).random(2).round(3)
+    array([0.583, 0.335])
+    """
 
     def generator(self, role: Role, seed: int, key: int, trial: int) -> np.random.Generator:
         number = 0 if self.is_fixed(role) else trial + 1

@@ -45,7 +45,14 @@ class _OneLinearBlock(SystemSpec):
 
 @component("system", "hammerstein")
 class Hammerstein(_OneLinearBlock):
-    """A static nonlinearity, then a linear block."""
+    """A static nonlinearity, then a linear block.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> hi.Hammerstein(nonlinearity="abs", linear=hi.Fir(b=[1, 0.5])).simulate(np.array([-1.0, 2.0, 0.0]))
+    array([1. , 2.5, 1. ])
+    """
 
     def check_before(self, level: float) -> None:
         # The linear block, which is at rest, sees the nonlinearity's output.
@@ -68,7 +75,14 @@ class Hammerstein(_OneLinearBlock):
 
 @component("system", "wiener")
 class Wiener(_OneLinearBlock):
-    """A linear block, then a static nonlinearity."""
+    """A linear block, then a static nonlinearity.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> hi.Wiener(linear=hi.Fir(b=[1, 0.5]), nonlinearity="abs").simulate(np.array([-1.0, 2.0, 0.0]))
+    array([1. , 1.5, 1. ])
+    """
 
     def simulate(self, u: Array, dt: float = 1.0) -> Array:
         return self.nonlinearity(self.linear.simulate(u, dt))
@@ -84,6 +98,14 @@ class WienerHammerstein(SystemSpec):
 
     Continuous blocks are driven by the signal itself, not by its samples held: a sine is one between the
     samples too, from its periodic steady state; other signals find the system in equilibrium.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> block = hi.Fir(b=[1, 0.5])
+    >>> system = hi.WienerHammerstein(input_linear=block, nonlinearity="abs", output_linear=block)
+    >>> system.simulate(np.array([-1.0, 2.0, 0.0]))
+    array([1.  , 2.  , 1.75])
     """
 
     input_linear: Annotated[LinearSpec, Of("linear")]

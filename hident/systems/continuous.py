@@ -18,6 +18,11 @@ class Continuous(LinearSpec):
     """Continuous block (b_0 + ... + b_m s^m) e^(-delay s) / (1 + a_1 s + ... + a_n s^n), from rest.
 
     Its input is held from sample to sample (zero-order hold), and it is simulated exactly.
+
+    Examples
+    --------
+    >>> [round(a, 3) for a in Continuous(a=[2]).transfer_function().sampled(dt=1.0).a]
+    [0.607]
     """
 
     a: Coefficients

@@ -114,7 +114,13 @@ class _WithNumerator(DiscreteSpec):
 
 @component("linear", "fir")
 class Fir(_WithNumerator):
-    """Finite impulse response: v_k = b_0 w_k + b_1 w_{k-1} + ..."""
+    """Finite impulse response: v_k = b_0 w_k + b_1 w_{k-1} + ...
+
+    Examples
+    --------
+    >>> Fir(b=[0, 0.5]).simulate(np.array([1.0, 2.0, 3.0]))
+    array([0. , 0.5, 1. ])
+    """
 
     def transfer_function(self) -> TransferFunction:
         return TransferFunction(b=self.b)
@@ -122,7 +128,13 @@ class Fir(_WithNumerator):
 
 @component("linear", "ar", source="Mzyk 2009, A2")
 class Ar(DiscreteSpec):
-    """Autoregression: v_k = a_1 v_{k-1} + ... + a_p v_{k-p} + b_0 w_k."""
+    """Autoregression: v_k = a_1 v_{k-1} + ... + a_p v_{k-p} + b_0 w_k.
+
+    Examples
+    --------
+    >>> Ar(a=[0.5]).simulate(np.array([1.0, 0.0, 0.0]))
+    array([1.  , 0.5 , 0.25])
+    """
 
     a: Coefficients
     """Feedback a_1, ..., a_p."""
@@ -142,7 +154,13 @@ class Ar(DiscreteSpec):
 
 @component("linear", "arma")
 class Arma(_WithNumerator):
-    """Rational block: v_k = a_1 v_{k-1} + ... + a_p v_{k-p} + b_0 w_k + ... + b_m w_{k-m}."""
+    """Rational block: v_k = a_1 v_{k-1} + ... + a_p v_{k-p} + b_0 w_k + ... + b_m w_{k-m}.
+
+    Examples
+    --------
+    >>> Arma(a=[0.5], b=[1, 2]).simulate(np.array([1.0, 0.0, 0.0]))
+    array([1.  , 2.5 , 1.25])
+    """
 
     a: Coefficients
     """Feedback a_1, ..., a_p."""

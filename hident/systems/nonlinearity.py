@@ -22,7 +22,13 @@ class _BreaksAtZero(NonlinearitySpec):
 
 @component("nonlinearity", "identity")
 class Identity(NonlinearitySpec):
-    """The input itself: u."""
+    """The input itself: u.
+
+    Examples
+    --------
+    >>> Identity()(np.array([-2.0, 1.0]))
+    array([-2.,  1.])
+    """
 
     def __call__(self, u: Array) -> Array:
         return np.positive(u)
@@ -30,7 +36,13 @@ class Identity(NonlinearitySpec):
 
 @component("nonlinearity", "abs")
 class Abs(_BreaksAtZero):
-    """Absolute value: |u|."""
+    """Absolute value: |u|.
+
+    Examples
+    --------
+    >>> Abs()(np.array([-2.0, 1.0]))
+    array([2., 1.])
+    """
 
     def __call__(self, u: Array) -> Array:
         return np.abs(u)
@@ -38,7 +50,13 @@ class Abs(_BreaksAtZero):
 
 @component("nonlinearity", "sign")
 class Sign(_BreaksAtZero):
-    """Sign: -1, 0 or 1."""
+    """Sign: -1, 0 or 1.
+
+    Examples
+    --------
+    >>> Sign()(np.array([-2.0, 0.0, 3.0]))
+    array([-1.,  0.,  1.])
+    """
 
     def __call__(self, u: Array) -> Array:
         return np.sign(u)
@@ -46,7 +64,13 @@ class Sign(_BreaksAtZero):
 
 @component("nonlinearity", "power")
 class Power(NonlinearitySpec):
-    """Whole power: u^exponent."""
+    """Whole power: u^exponent.
+
+    Examples
+    --------
+    >>> Power(exponent=2)(np.array([-2.0, 3.0]))
+    array([4., 9.])
+    """
 
     exponent: Count
     """Exponent, 0 or more."""
@@ -64,7 +88,13 @@ class Power(NonlinearitySpec):
 
 @component("nonlinearity", "polynomial")
 class Polynomial(NonlinearitySpec):
-    """Polynomial: c_0 + c_1 u + c_2 u^2 + ..."""
+    """Polynomial: c_0 + c_1 u + c_2 u^2 + ...
+
+    Examples
+    --------
+    >>> Polynomial(coefficients=[1, 0, 2])(np.array([0.0, 3.0]))
+    array([ 1., 19.])
+    """
 
     coefficients: Coefficients
     """Coefficients c_0, c_1, ..., the constant first."""
@@ -78,7 +108,13 @@ class Polynomial(NonlinearitySpec):
 
 @component("nonlinearity", "exponential", source="Brouri, eq. (42b), (43b)")
 class Exponential(NonlinearitySpec):
-    """Exponential: scale * exp(rate * u)."""
+    """Exponential: scale * exp(rate * u).
+
+    Examples
+    --------
+    >>> Exponential(scale=2)(np.array([0.0, 1.0])).round(3)
+    array([2.   , 5.437])
+    """
 
     scale: Real = 1.0
     """Value at u = 0."""
@@ -97,7 +133,13 @@ def _as_point(value: Any) -> Any:
 
 @component("nonlinearity", "piecewise_linear")
 class PiecewiseLinear(NonlinearitySpec):
-    """Straight lines between given points, continued beyond the ends."""
+    """Straight lines between given points, continued beyond the ends.
+
+    Examples
+    --------
+    >>> PiecewiseLinear(points=[[0, 0], [1, 2]], right_slope=0)(np.array([-1.0, 0.5, 3.0]))
+    array([-2.,  1.,  2.])
+    """
 
     points: tuple[Annotated[tuple[Real, Real], BeforeValidator(_as_point)], ...]
     """At least two points [u, value], in increasing order of u."""
@@ -156,7 +198,13 @@ class _Interval(NonlinearitySpec):
 
 @component("nonlinearity", "saturation")
 class Saturation(_Interval):
-    """Saturation: gain * u between low and high, constant outside."""
+    """Saturation: gain * u between low and high, constant outside.
+
+    Examples
+    --------
+    >>> Saturation(low=-1, high=1)(np.array([-2.0, 0.5, 3.0]))
+    array([-1. ,  0.5,  1. ])
+    """
 
     def __call__(self, u: Array) -> Array:
         return self.gain * np.clip(u, self.low, self.high)
@@ -164,7 +212,13 @@ class Saturation(_Interval):
 
 @component("nonlinearity", "dead_zone")
 class DeadZone(_Interval):
-    """Dead zone: zero between low and high, slope gain outside."""
+    """Dead zone: zero between low and high, slope gain outside.
+
+    Examples
+    --------
+    >>> DeadZone(low=-1, high=1)(np.array([-2.0, 0.5, 3.0]))
+    array([-1.,  0.,  2.])
+    """
 
     def __call__(self, u: Array) -> Array:
         return self.gain * (u - np.clip(u, self.low, self.high))
@@ -172,7 +226,13 @@ class DeadZone(_Interval):
 
 @component("nonlinearity", "expression")
 class Expression(NonlinearitySpec):
-    """A formula in u, such as 0.5*abs(u) + 2*sin(u)."""
+    """A formula in u, such as 0.5*abs(u) + 2*sin(u).
+
+    Examples
+    --------
+    >>> Expression(expression="0.5*abs(u) + u**2")(np.array([-2.0, 0.0]))
+    array([5., 0.])
+    """
 
     expression: str
     """The formula: numbers, pi, e, + - * / **, one comparison, and functions of u."""
@@ -198,7 +258,13 @@ class Expression(NonlinearitySpec):
 
 @component("nonlinearity", "mzyk2009", source="Mzyk 2009, section V")
 class Mzyk2009(_BreaksAtZero):
-    """(1/2 + sgn u)(|u| - pi) + 2 sin u: it jumps at 0, from pi/2 by way of -pi/2 to -3 pi/2."""
+    """(1/2 + sgn u)(|u| - pi) + 2 sin u: it jumps at 0, from pi/2 by way of -pi/2 to -3 pi/2.
+
+    Examples
+    --------
+    >>> Mzyk2009()(np.array([-1.0, 0.0, 1.0])).round(3)
+    array([-0.612, -1.571, -1.529])
+    """
 
     def __call__(self, u: Array) -> Array:
         return (0.5 + np.sign(u)) * (np.abs(u) - np.pi) + 2.0 * np.sin(u)
@@ -214,7 +280,13 @@ def _soft_dead_zone(u: Array) -> Array:
 
 @component("nonlinearity", "chen_type_1", source="Chen, Hwang, Chang 2009, example 1")
 class ChenType1(NonlinearitySpec):
-    """Smooth saturation: u / sqrt(0.1 + 0.9 u^2)."""
+    """Smooth saturation: u / sqrt(0.1 + 0.9 u^2).
+
+    Examples
+    --------
+    >>> ChenType1()(np.array([-1.0, 0.0, 3.0])).round(3)
+    array([-1.   ,  0.   ,  1.048])
+    """
 
     def __call__(self, u: Array) -> Array:
         return _wigren(u, 0.1)
@@ -222,7 +294,13 @@ class ChenType1(NonlinearitySpec):
 
 @component("nonlinearity", "chen_type_2", source="Chen, Hwang, Chang 2009, example 1")
 class ChenType2(NonlinearitySpec):
-    """A kind of dead zone: -u^2 (1 - exp(0.7 u))."""
+    """A kind of dead zone: -u^2 (1 - exp(0.7 u)).
+
+    Examples
+    --------
+    >>> ChenType2()(np.array([-1.0, 0.0, 1.0])).round(3)
+    array([-0.503,  0.   ,  1.014])
+    """
 
     def __call__(self, u: Array) -> Array:
         return _soft_dead_zone(u)
@@ -230,7 +308,13 @@ class ChenType2(NonlinearitySpec):
 
 @component("nonlinearity", "chen_type_3", source="Chen, Hwang, Chang 2009, example 2")
 class ChenType3(_BreaksAtZero):
-    """Type 1 for u >= 0, type 2 for u < 0."""
+    """Type 1 for u >= 0, type 2 for u < 0.
+
+    Examples
+    --------
+    >>> ChenType3()(np.array([-1.0, 0.0, 1.0])).round(3)
+    array([-0.503,  0.   ,  1.   ])
+    """
 
     def __call__(self, u: Array) -> Array:
         # Both vanish at zero, and exp never sees a large positive argument.
@@ -239,7 +323,13 @@ class ChenType3(_BreaksAtZero):
 
 @component("nonlinearity", "chen_type_4", source="Chen, Hwang, Chang 2009, example 2")
 class ChenType4(NonlinearitySpec):
-    """Smooth saturation of adjustable degree: u / sqrt(D + 0.9 u^2)."""
+    """Smooth saturation of adjustable degree: u / sqrt(D + 0.9 u^2).
+
+    Examples
+    --------
+    >>> ChenType4(d=1)(np.array([-1.0, 0.0, 3.0])).round(3)
+    array([-0.725,  0.   ,  0.994])
+    """
 
     d: Real
     """D, positive: the smaller, the harder the saturation."""

@@ -132,6 +132,14 @@ class PhNeutralisation(_Process):
 
     The states are the level h and the reaction invariants W_a4 and W_b4. At a constant level it would be a
     Wiener system with the time constant A h / (q_1 + q_2 + q_3).
+
+    Examples
+    --------
+    >>> flows = {"q_1": 16.6, "q_2": 0.55, "q_3": 15.6}
+    >>> acids = {"wa_1": 3e-3, "wa_2": -3e-2, "wa_3": -3.05e-3, "wb_1": 0, "wb_2": 3e-2, "wb_3": 5e-5}
+    >>> tank = PhNeutralisation(area=207, valve_coefficient=8.75, pk_1=6.35, pk_2=10.25, **flows, **acids)
+    >>> round(tank.truth().values["steady_output"], 2)
+    7.03
     """
 
     manipulated: ClassVar[str] = "q_3"
@@ -215,6 +223,13 @@ class AcidTank(_Process):
     The states are the total concentrations of acetate, propionate and sodium. The paper leaves out the
     equations: these are the balances of each in a perfectly mixed tank of constant volume, and electric
     neutrality. Simulated exactly.
+
+    Examples
+    --------
+    >>> acids = {"acetic_acid": 1, "propionic_acid": 1, "pk_acetic": 4.75, "pk_propionic": 4.87}
+    >>> tank = AcidTank(volume=1, q_a=14.2, q_b=14.2, sodium_hydroxide=2, **acids)
+    >>> round(tank.truth().values["steady_output"], 2)
+    9.41
     """
 
     manipulated: ClassVar[str] = "q_b"
@@ -270,6 +285,13 @@ class VanDeVusse(_Process):
 
     The states are the concentrations C_A and C_B. Neither Hammerstein nor Wiener: gain and dynamics both
     change with the flow.
+
+    Examples
+    --------
+    >>> rates = {"k_1": 50, "k_2": 100, "k_3": 10}
+    >>> reactor = VanDeVusse(volume=1, inlet_flow=34.3, feed_concentration=10, **rates)
+    >>> reactor.simulate(np.array([10.0, 10.0, 10.0]), dt=0.01).round(3)
+    array([0.   , 0.009, 0.05 ])
     """
 
     manipulated: ClassVar[str] = "inlet_flow"

@@ -9,7 +9,7 @@ import yaml
 
 import hident as hi
 from hident.config.spec import component
-from hident.engine.store import Store
+from hident.engine.store import MemoryStore, Store
 from hident.errors import ConfigError, TrialsCrashed
 from hident.estimators.base import EstimatorSpec
 
@@ -99,6 +99,14 @@ def test_a_store_is_kept_and_no_other_file_is_written(results, tmp_path, monkeyp
     hi.write(first, "out/experiment")
     assert hi.status(MADE) == {"stored": 16, "of": 16, "outputs": "up to date"}
     assert hi.compare("out", "out").differences == ()
+
+
+def test_an_object_that_keeps_trials_is_a_store(results):
+    store = MemoryStore()
+    for _ in range(2):
+        pd.testing.assert_frame_equal(hi.run(MADE, store=store).frame(), results.frame(), check_exact=True)
+    keys = [key for keys in hi.validate(MADE).keys for key in keys.values()]
+    assert [len(store.trials(key, 9)) for key in keys] == [4] * 4
 
 
 def test_any_executor_gives_the_same_numbers(results):

@@ -316,3 +316,58 @@ def test_workers_find_the_neighbours_and_an_edit_of_one_is_computed_anew(lab):
     (folder / "neighbour.py").write_text("FACTOR = 2.0\n")
     lab.run("--jobs", "2", "--plugin", "plugins/probe.py")
     assert lab.table != before
+
+
+COMPONENT = "from hident.config.spec import component\n"
+SHOWN = '''
+from hident.reports.base import FigureSpec, Table, TableSpec
+from hident.reports.style import subplots
+
+WIDTH = 3.0
+
+
+@component("table", "{name}")
+class Shown(TableSpec):
+    """The first value."""
+
+    def build(self, results, verdicts):
+        return Table(self.title, ("value",), ((f"{{results.series[0].values[0]:.3f}}",),))
+
+
+@component("figure", "{name}")
+class Drawn(FigureSpec):
+    """The first values."""
+
+    def draw(self, results, verdicts):
+        figure, axes = subplots(figsize=(WIDTH, WIDTH))
+        axes.plot(results.series[0].values)
+        return figure
+'''
+
+
+@pytest.mark.parametrize("file", ["probe.py", "shown.py"])
+def test_an_edited_table_or_figure_of_a_plugin_computes_no_trial(lab, file):
+    lab.probe()
+    name = file.removesuffix(".py")
+    text = SHOWN.format(name=name)
+    before = (lab.folder / "probe.py").read_text() if file == "probe.py" else COMPONENT
+    (lab.folder / file).write_text(before + text)
+    lab.configure(
+        tables={"shown": {"kind": name, "title": "First"}},
+        figures={"drawn": name},
+        plugins=["shown.py"] if file == "shown.py" else [],
+    )
+    assert "tiny: 24 trials\n" in lab.run()
+    kept = lab.trials()
+    for old, new in {":.3f": ":.1f", "WIDTH = 3.0": "WIDTH = 2.0", "axes.plot(": "axes.semilogy("}.items():
+        assert old in text
+        text = text.replace(old, new)
+    (lab.folder / file).write_text(before + text)
+    said = lab.run()
+    assert "tiny: all 24 trials are stored\n" in said
+    assert "tiny: wrote " in said
+    assert lab.trials() == kept
+    # What else stands there counts: the system of all trials.
+    edited = (lab.folder / "probe.py").read_text().replace("u**2", "u**3")
+    (lab.folder / "probe.py").write_text(edited)
+    assert "tiny: 24 trials\n" in lab.run()

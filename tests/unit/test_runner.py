@@ -129,10 +129,14 @@ def test_more_trials_extend_a_run_and_fewer_compute_nothing(lab: Lab) -> None:
     assert {len(series.values) for series in results.series} == {20}
 
 
+_IV = {"estimator": "iv", "metric": "a a_1"}
+
+
 @pytest.mark.parametrize(
     ("change", "computed"),
     [
         ({"title": "Another", "tables": {}}, 0),
+        ({"figures": {"scatter": {"kind": "scatter", "panels": [{"x": _IV, "y": _IV}]}}}, 0),
         ({"cases": {"samples": [80, 50, 60]}}, 12),
         ({"metrics": {"a": {"kind": "error", "of": ["a_1"], "estimators": ["iv", "known"]}}}, 0),
         ({"metrics": {"a": {"kind": "value", "of": ["a_1"]}}}, 24),

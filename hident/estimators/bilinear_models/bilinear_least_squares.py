@@ -144,7 +144,17 @@ class Stop(Spec):
 
 @component("estimator", "bilinear_least_squares", source="Wang, Zhang, Ljung 2009, eq. (10)")
 class BilinearLeastSquares(WeightedBilinearSpec):
-    """Hammerstein system by weighted nonlinear least squares, from the two-stage estimate."""
+    """Hammerstein system by weighted nonlinear least squares, from the two-stage estimate.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Fir(b=[0.6, -0.8]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> found = hi.fit(hi.BilinearLeastSquares(lags=2, basis=["identity", "abs"], delay=0), record)
+    >>> [round(found.values[name], 6) for name in ("a_2", "b_0", "b_1")]
+    [1.0, 0.6, -0.8]
+    """
 
     start: Literal["two_stage", "truth"] = "two_stage"
     """Where the iterations start."""

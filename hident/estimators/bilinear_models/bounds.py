@@ -31,7 +31,17 @@ def cramer_rao(regression: Regression, b: Array, a: Array, variance: float) -> t
 
 @component("estimator", "cramer_rao")
 class CramerRao(BilinearSpec):
-    """Least standard deviations of b_i and a_j, as se_b_i and se_a_j, from the truth: Cramer-Rao bound."""
+    """Least standard deviations of b_i and a_j, as se_b_i and se_a_j, from the truth: Cramer-Rao bound.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Fir(b=[0.6, -0.8]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> bound = hi.fit(hi.CramerRao(lags=2, basis=["abs"], delay=0, variance=0.01), record)
+    >>> round(bound.values["se_b_1"], 4)
+    0.0037
+    """
 
     variance: Annotated[Real, Field(gt=0)]
     """Variance of the Gaussian white noise, or of the innovation of the autoregressive one."""
@@ -54,7 +64,17 @@ class CramerRao(BilinearSpec):
 
 @component("estimator", "known_nonlinearity")
 class KnownNonlinearity(WeightedSpec):
-    """Finite impulse response by linear least squares when the nonlinearity is known."""
+    """Finite impulse response by linear least squares when the nonlinearity is known.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Fir(b=[0.6, -0.8]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> found = hi.fit(hi.KnownNonlinearity(lags=2, delay=0, nonlinearity="abs"), record)
+    >>> [round(found.values[name], 6) for name in ("b_0", "b_1")]
+    [0.6, -0.8]
+    """
 
     nonlinearity: Annotated[NonlinearitySpec, Of("nonlinearity")]
     """The known nonlinearity, with its scale: b is not normalised."""

@@ -249,6 +249,16 @@ class SeparableLeastSquares(BilinearSpec):
 
     Here a_i are the linear block's feedback coefficients, as in all of its kinds, and the nonlinearity is
     c_1 phi_1 + ... + c_m phi_m.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Arma(a=[0.5], b=[0.6, -0.8]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> estimator = hi.SeparableLeastSquares(lags=2, basis=["identity", "abs"], delay=0, feedback=1)
+    >>> found = hi.fit(estimator, record)
+    >>> [round(found.values[name], 6) for name in ("a_1", "b_0", "b_1")]
+    [0.5, 0.6, -0.8]
     """
 
     feedback: Annotated[Count, Field(ge=1)]

@@ -255,7 +255,17 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
 
 @component("estimator", "two_stage", source="Wang, Zhang, Ljung 2009, eq. (12)-(14), (17), section 3.3")
 class TwoStage(WeightedBilinearSpec):
-    """Hammerstein system by linear least squares and a singular value decomposition."""
+    """Hammerstein system by linear least squares and a singular value decomposition.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Fir(b=[0.6, -0.8]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> found = hi.fit(hi.TwoStage(lags=2, basis=["identity", "abs"], delay=0), record)
+    >>> [round(found.values[name], 6) for name in ("a_2", "b_0", "b_1")]
+    [1.0, 0.6, -0.8]
+    """
 
     def solved(self, weighted: Weighted, y: Array, record: Record) -> list[Estimate | EstimationError]:
         found = two_stage(weighted.regression, y)

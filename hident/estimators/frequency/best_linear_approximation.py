@@ -94,6 +94,16 @@ class BestLinear(EstimatorSpec):
     Each experiment of the record is one realisation of the phases. Values, for each harmonic K of the period:
     gain_K and phase_K (radians), noise_K and total_K, the standard deviations of the complex gain by noise
     and by noise with nonlinear distortions, and distortion_K, that of the distortions in one realisation.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Wiener(linear=hi.Continuous(a=[0.5]), nonlinearity="identity")
+    >>> multisine = {"excitation": hi.Multisine(period=32, rms=1), "periods": 3, "repetitions": 2}
+    >>> excitation = hi.Experiments(parts=[{"name": "multisine", **multisine}])
+    >>> record = hi.simulate(system, excitation, 192, dt=0.1)
+    >>> round(hi.fit(hi.BestLinear(harmonics=[1], transient=1), record).values["gain_1"], 2)
+    0.71
     """
 
     harmonics: Annotated[tuple[Annotated[Count, Field(ge=1)], ...], Field(min_length=1)]

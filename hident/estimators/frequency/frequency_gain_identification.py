@@ -73,6 +73,18 @@ class FrequencyGainIdentification(EstimatorSpec):
     order_ac_m the same without the mean, order_snr_m by signal-to-noise; examined + 1 where none suffices.
     Of the phases: how many there are (phase_unknowns), how many sums were seen (phase_equations), their rank
     (phase_rank).
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> block = hi.Continuous(a=[0.5])
+    >>> quadratic = hi.Polynomial(coefficients=[2, 1, 0.5])
+    >>> system = hi.WienerHammerstein(input_linear=block, nonlinearity=quadratic, output_linear=block)
+    >>> sines = hi.SteppedSine(frequencies=[0.5, 1], periods=4, samples_per_period=32)
+    >>> record = hi.simulate(system, sines, 256, noise=hi.White(std=0.001), dt=0.1)
+    >>> estimator = hi.FrequencyGainIdentification(frequencies=[0.5, 1], order=2, coefficients=[2, 1, 0.5])
+    >>> round(hi.fit(estimator, record).values["gain_i_2"], 2)
+    0.89
     """
 
     frequencies: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None

@@ -52,6 +52,18 @@ class NonlinearityIdentification(EstimatorSpec):
     Values: c_0, ..., c_degree with se_c_j; ``noise`` (standard deviation), ``rise_time`` (90 %, at the
     largest step), ``hold`` (the shortest level, in rise times) and ``drift`` (the largest drift between the
     last two quarters of a level, in standard errors).
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> block = hi.Continuous(a=[0.5])
+    >>> quadratic = hi.Polynomial(coefficients=[2, 1, 0.5])
+    >>> system = hi.WienerHammerstein(input_linear=block, nonlinearity=quadratic, output_linear=block)
+    >>> stairs = hi.Staircase(levels=[-1, 0, 1], hold=20)
+    >>> record = hi.simulate(system, stairs, 600, noise=hi.White(std=0.01), dt=0.1)
+    >>> found = hi.fit(hi.NonlinearityIdentification(degree=2), record)
+    >>> [round(found.values[name], 1) for name in ("c_0", "c_1", "c_2")]
+    [2.0, 1.0, 0.5]
     """
 
     degree: Annotated[Count, Field(ge=1)] = 3

@@ -23,7 +23,17 @@ from hident.records import Estimate, Record
 
 @component("estimator", "linear_model", source="Hwang and Lin 2003; Chen, Hwang, Chang 2009, examples 5, 6")
 class LinearModel(MovingHorizonSpec):
-    """Continuous-time linear model by least squares over moving horizons."""
+    """Continuous-time linear model by least squares over moving horizons.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="identity", linear=hi.Continuous(a=[2.5, 1.5]))
+    >>> record = hi.simulate(system, hi.Multistep(switching_time=1, std=1), 400, dt=0.1)
+    >>> found = hi.fit(hi.LinearModel(block={"n": 2, "horizon": 8}), record)
+    >>> [round(a, 1) for a in found.continuous.a]
+    [2.5, 1.5]
+    """
 
     instead: ClassVar[Mapping[str, str]] = {
         "delay": "'block: {structure: search, delays: [...]}' searches among several"

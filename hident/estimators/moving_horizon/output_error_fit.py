@@ -47,6 +47,19 @@ class OutputError(EstimatorSpec):
     in standard errors; converged, 0 where it is longer than 0.0001 because the minimum lies on a kink of
     the criterion (Wiener only: a sample on a bend of the nonlinearity). Such an estimate does not count as
     failed, since it is a minimum. An iteration that ends anywhere else fails.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> quadratic = hi.Polynomial(coefficients=[0, 1, 0.5])
+    >>> system = hi.Hammerstein(nonlinearity=quadratic, linear=hi.Continuous(a=[2.5, 1.5]))
+    >>> steps, noise = hi.Multistep(switching_time=1, std=1), hi.White(nsr=0.01)
+    >>> record = hi.simulate(system, steps, 400, noise=noise, dt=0.1)
+    >>> nonlinearity, first = {"kind": "polynomial", "degree": 2}, {"n": 2, "horizon": 8}
+    >>> start = hi.IterativeHammerstein(nonlinearity=nonlinearity, first=first)
+    >>> found = hi.fit(hi.OutputError(start=start), record)
+    >>> [round(a, 1) for a in found.continuous.a]
+    [2.5, 1.5]
     """
 
     start: Annotated[IterativeSpec, Of("estimator"), AfterValidator(_refinable)]

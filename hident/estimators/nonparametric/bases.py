@@ -58,6 +58,12 @@ class Trigonometric(_WithInterval):
     """Constant, cosines and sines of period L = high - low; q counts harmonics, so 2q + 1 functions.
 
     1/sqrt(L), sqrt(2/L) cos(2 pi x/L), sqrt(2/L) sin(2 pi x/L), sqrt(2/L) cos(4 pi x/L), ...
+
+    Examples
+    --------
+    >>> basis = Trigonometric(interval=[0, 4])
+    >>> basis.series(np.full(1, 0.5), np.eye(basis.size(1))).T.round(3)
+    array([[0.5, 0.5, 0.5]])
     """
 
     def size(self, q: int) -> int:
@@ -124,7 +130,13 @@ class _ByRecurrence(BasisSpec):
 
 @component("basis", "legendre")
 class Legendre(_ByRecurrence, _WithInterval):
-    """Legendre polynomials on [low, high], orthonormal."""
+    """Legendre polynomials on [low, high], orthonormal.
+
+    Examples
+    --------
+    >>> Legendre(interval=[-1, 1]).series(np.ones(1), np.eye(3)).T.round(3)
+    array([[0.707, 1.225, 1.581]])
+    """
 
     def _log_first(self, x: Array) -> Array:
         return np.full(x.shape, -0.5 * math.log(self._length))
@@ -140,7 +152,13 @@ class Legendre(_ByRecurrence, _WithInterval):
 
 @component("basis", "laguerre")
 class Laguerre(_ByRecurrence):
-    """Laguerre functions exp(-x/2) L_k(x) on [0, inf); negative samples are left out."""
+    """Laguerre functions exp(-x/2) L_k(x) on [0, inf); negative samples are left out.
+
+    Examples
+    --------
+    >>> Laguerre().series(np.zeros(1), np.eye(3)).T.round(3)
+    array([[1., 1., 1.]])
+    """
 
     def domain(self) -> tuple[float, float]:
         return 0.0, math.inf
@@ -155,7 +173,13 @@ class Laguerre(_ByRecurrence):
 
 @component("basis", "hermite")
 class Hermite(_ByRecurrence):
-    """Hermite functions H_k(x) exp(-x^2/2) / sqrt(2^k k! sqrt(pi)) on the real line."""
+    """Hermite functions H_k(x) exp(-x^2/2) / sqrt(2^k k! sqrt(pi)) on the real line.
+
+    Examples
+    --------
+    >>> Hermite().series(np.zeros(1), np.eye(3)).T.round(3)
+    array([[ 0.751,  0.   , -0.531]])
+    """
 
     def domain(self) -> tuple[float, float]:
         return -math.inf, math.inf

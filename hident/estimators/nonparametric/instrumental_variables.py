@@ -113,6 +113,14 @@ class InstrumentalVariables(EstimatorSpec):
     """Linear block by instrumental variables m(u); consistent under output noise.
 
     The first ``order`` + ``ma_order`` samples of each experiment serve as past samples only.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Ar(a=[0.5]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> round(hi.fit(hi.InstrumentalVariables(order=1, instrument="abs"), record).values["a_1"], 1)
+    0.5
     """
 
     identifies_dynamics: ClassVar[bool] = True

@@ -183,7 +183,18 @@ class Bandwidth(Spec):
 
 @component("estimator", "kernel", source="Mzyk 2009, eq. (4), (15)")
 class Kernel(NonparametricSpec):
-    """Characteristic by kernel regression, plain or with prefilter."""
+    """Characteristic by kernel regression, plain or with prefilter.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Ar(a=[0.5]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> known = hi.KnownDynamics(a=[0.5])
+    >>> kernel = hi.Kernel(kernel="gaussian", bandwidth={"h0": 0.5, "alpha": "1/5"}, prefilter=known)
+    >>> hi.fit(kernel, record).nonlinearity(np.array([-0.5, 0.5])).round(1)
+    array([0.5, 0.5])
+    """
 
     kernel: KernelName
     """The kernel: window_half is 1 for |x| <= 0.5, window_unit for |x| < 1, with x = (u_k - u)/h."""

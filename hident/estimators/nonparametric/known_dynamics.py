@@ -16,7 +16,16 @@ from hident.systems.base import Coefficients, Numerator
 
 @component("estimator", "known_dynamics")
 class KnownDynamics(EstimatorSpec):
-    """The given linear block, whatever the data: the reference that knows it."""
+    """The given linear block, whatever the data: the reference that knows it.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Ar(a=[0.5]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> hi.fit(hi.KnownDynamics(a=[0.5]), record).linear
+    TransferFunction(b=(1.0,), a=(0.5,))
+    """
 
     identifies_dynamics: ClassVar[bool] = True
 

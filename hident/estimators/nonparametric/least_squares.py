@@ -126,6 +126,14 @@ class LeastSquares(EstimatorSpec):
     """Autoregressive block by least squares; consistent only without output noise, good when it is small.
 
     The first ``order`` samples of each experiment serve as past outputs only.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Ar(a=[0.5]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> round(hi.fit(hi.LeastSquares(order=1), record).values["a_1"], 1)
+    0.5
     """
 
     identifies_dynamics: ClassVar[bool] = True

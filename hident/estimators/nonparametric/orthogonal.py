@@ -167,7 +167,18 @@ _DENSITIES: dict[str, type[UniformDensity] | type[GaussianDensity]] = {
 
 @component("estimator", "orthogonal", source="Mzyk 2009, eq. (7), (16)")
 class Orthogonal(NonparametricSpec):
-    """Characteristic by a ratio of orthogonal series, plain or with prefilter."""
+    """Characteristic by a ratio of orthogonal series, plain or with prefilter.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Ar(a=[0.5]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 5000)
+    >>> basis, known = hi.Trigonometric(interval=[-1, 1]), hi.KnownDynamics(a=[0.5])
+    >>> series = hi.Orthogonal(basis=basis, terms={"q0": 1, "alpha": "1/5"}, prefilter=known)
+    >>> hi.fit(series, record).nonlinearity(np.array([-0.5, 0.5])).round(1)
+    array([0.5, 0.5])
+    """
 
     basis: Annotated[BasisSpec, Of("basis")]
     """The orthonormal functions."""

@@ -352,6 +352,15 @@ class VorosHammerstein(VorosSpec):
     """Hammerstein system with a two-segment polynomial, discrete, by key-term separation.
 
     The first b is 1, so that the static gain lies in the nonlinearity. Both polynomials vanish at zero.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> quadratic = hi.Polynomial(coefficients=[0, 1, 2])
+    >>> system = hi.Hammerstein(nonlinearity=quadratic, linear=hi.Ar(a=[0.5]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> round(hi.fit(hi.VorosHammerstein(n=1, m=1, delay=0, degree=2), record).linear.a[0], 3)
+    0.5
     """
 
     def normalisations(self) -> tuple[Normalisation, ...]:

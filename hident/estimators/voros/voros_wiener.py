@@ -84,6 +84,15 @@ class VorosWiener(VorosSpec):
     """Wiener system with a two-segment polynomial, discrete, by key-term separation.
 
     f_1 is 1 and the static gain lies in the linear block. Both polynomials vanish at zero.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> quadratic = hi.Polynomial(coefficients=[0, 1, 0.2])
+    >>> system = hi.Wiener(linear=hi.Ar(a=[0.5]), nonlinearity=quadratic)
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> round(hi.fit(hi.VorosWiener(n=1, m=1, delay=0, degree=2), record).linear.a[0], 3)
+    0.5
     """
 
     def normalisations(self) -> tuple[Normalisation, ...]:

@@ -40,7 +40,19 @@ _GUESS = Polynomial(kind="polynomial", degree=5)
 
 @component("estimator", "iterative_hammerstein", source="Chen, Hwang, Chang 2009, eq. (22), (25), (27)")
 class IterativeHammerstein(IterativeSpec):
-    """Continuous-time Hammerstein system by the iterative two-stage algorithm."""
+    """Continuous-time Hammerstein system by the iterative two-stage algorithm.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> quadratic = hi.Polynomial(coefficients=[0, 1, 0.5])
+    >>> system = hi.Hammerstein(nonlinearity=quadratic, linear=hi.Continuous(a=[2.5, 1.5]))
+    >>> record = hi.simulate(system, hi.Multistep(switching_time=1, std=1), 400, dt=0.1)
+    >>> nonlinearity, first = {"kind": "polynomial", "degree": 2}, {"n": 2, "horizon": 8}
+    >>> found = hi.fit(hi.IterativeHammerstein(nonlinearity=nonlinearity, first=first), record)
+    >>> [round(a, 1) for a in found.continuous.a]
+    [2.5, 1.5]
+    """
 
     share: ClassVar[float] = 0.5
     guesses: ClassVar[bool] = True

@@ -75,6 +75,17 @@ class IterativeWiener(IterativeSpec):
 
     Differs from the paper: poles of an iterate in the right half plane are reflected into the left one, and
     an iteration that ends badly, or does not converge, starts again from the linear model's output.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> quadratic = hi.Polynomial(coefficients=[0, 1, 0.5])
+    >>> system = hi.Wiener(nonlinearity=quadratic, linear=hi.Continuous(a=[2.5, 1.5]))
+    >>> record = hi.simulate(system, hi.Multistep(switching_time=1, std=0.5, limits=[-1, 1]), 600, dt=0.1)
+    >>> nonlinearity, first = {"kind": "polynomial", "degree": 2}, {"n": 2, "horizon": 8}
+    >>> found = hi.fit(hi.IterativeWiener(nonlinearity=nonlinearity, first=first), record)
+    >>> [round(a, 1) for a in found.continuous.a]
+    [2.5, 1.5]
     """
 
     share: ClassVar[float] = 1.0

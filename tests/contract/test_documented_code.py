@@ -1,0 +1,134 @@
+"""README.md and docs/python.md: their code, configurations and commands run, and their tables are true."""
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+import hident as hi
+from tests.documented import ROOT, blocks, commands
+from tests.forked import run_forked
+
+# What is in use where the tests run is not the matter here.
+pytestmark = pytest.mark.filterwarnings("ignore:the arithmetic in use")
+
+FIRST, AXES, CONTINUOUS = blocks("README.md", "yaml")
+RUN, ESTIMATOR = blocks("README.md", "python")
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+# What the test adds: few trials, and files where a page names the verb alone.
+ADDED = {
+    "hident run configs/mzyk_table1.yaml": "--trials 1 --jobs 1",
+    "hident compare out results": "--partial",
+    "hident validate my.yaml": "",
+    "hident run my.yaml": "--trials 2 --jobs 1 --out mine",
+    "hident list": "",
+    "hident list estimators kernel": "",
+    "hident schema": "",
+    "hident doctor": "",
+    "hident validate": "my.yaml",
+    "hident run": "my.yaml --set excitation.high=2*pi --trials 20 --jobs 1 --out overridden",
+    "hident status": "my.yaml --trials 2 --out mine",
+    "hident compare": "mine mine",
+    "hident verify": "results",
+    "hident export": "my.yaml trials.csv --trials 2",
+}
+# A decision about results/, which has its own tests, and what takes a shell.
+NOT_RUN = {"hident accept", "hident accept <config>", "hident list | head -1"}
+
+
+def hident(folder, *arguments):
+    ended = run_forked(arguments, folder)
+    assert ended.returncode == 0, (arguments, ended.stdout, ended.stderr)
+    return ended.stdout
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder like the repository, with the files that README.md says to save."""
+    folder = tmp_path_factory.mktemp("documented")
+    for name in ("configs", "experiments", "results"):
+        (folder / name).symlink_to(ROOT / name)
+    (folder / "my.yaml").write_text(FIRST, encoding="utf-8")
+    (folder / "my_estimators.py").write_text(ESTIMATOR, encoding="utf-8")
+    return folder
+
+
+def test_the_commands_run(folder):
+    pages = ("README.md", "docs/python.md", "docs/configuration.md")
+    assert {command for page in pages for command in commands(page)} == ADDED.keys() | NOT_RUN
+    said = {command: hident(folder, *command.split()[1:], *added.split()) for command, added in ADDED.items()}
+    assert "--set excitation.high=2*pi --trials 20" in README
+    assert "|    2000 |" in said["hident run my.yaml"]
+    assert "up to date" in said["hident status"]
+
+
+def test_an_axis_is_a_variable_and_a_label_sets_several_values(folder):
+    text = re.sub(r"cases:.*?\n(?=estimators)", AXES, FIRST, flags=re.DOTALL)
+    for old, new in {"a: [0.5]": "a: [$a]", "rows: samples": "rows: a"}.items():
+        text = text.replace(old, new)
+    (folder / "axes.yaml").write_text(f"{text}samples: 200\n", encoding="utf-8")
+    assert "4 cases, 6 estimates" in hident(folder, "validate", "axes.yaml", "--trials", "1")
+
+
+def test_a_process_in_continuous_time(folder):
+    (folder / "process.yaml").write_text(CONTINUOUS, encoding="utf-8")
+    hident(folder, "run", "process.yaml", "--trials", "1", "--jobs", "1")
+
+
+def test_an_estimator_in_a_file_of_its_own(folder):
+    plugin = ("--plugin", "my_estimators.py")
+    assert "Degree of the polynomial." in hident(folder, "list", "estimators", "polynomial_fit", *plugin)
+    own = "estimators.wide={kind: polynomial_fit, degree: 5}"
+    hident(folder, "run", "my.yaml", *plugin, "--set", own, "--trials", "2", "--jobs", "1", "--out", "own")
+
+
+def test_the_table_is_that_of_the_accepted_results():
+    shown = [line for line in README.splitlines() if re.match(r"\| +(N|\d+) \|", line)]
+    accepted = (ROOT / "results/mzyk_table1/table.md").read_text(encoding="utf-8").splitlines()
+    assert len(shown) == 7
+    assert set(shown) <= set(accepted)
+
+
+def test_every_page_and_file_that_is_linked_is_there():
+    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
+        links = re.findall(r"\]\(([^)#]+)\)", page.read_text(encoding="utf-8"))
+        assert [link for link in links if "://" not in link and not (page.parent / link).exists()] == []
+
+
+@pytest.fixture(scope="module")
+def space(folder):
+    """The names that the code of docs/python.md leaves behind, with one trial in place of twenty."""
+    space: dict[str, Any] = {}
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.chdir(folder)
+        for code in (*blocks("docs/python.md", "python"), RUN):
+            exec(code.replace("trials=20", "trials=1"), space)
+    return space
+
+
+def test_the_code_runs(space):
+    assert {"system", "record", "estimate", "results"} <= space.keys()
+    assert len(space["results"].frame()) == 36
+
+
+def test_what_is_said_of_calls_between_the_lines(space, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    (folder / "data.csv").write_text("u,y\n0,1\n1,2\n", encoding="utf-8")
+    page = (ROOT / "docs/python.md").read_text(encoding="utf-8")
+    calls = re.findall(r"`((?:hi|results|estimator|estimate)\.[\w.]+\([^`.]*(?:\.csv[^`]*)?\))`", page)
+    names = {
+        "estimator": hi.Kernel(kernel="gaussian", bandwidth={"h0": 1, "alpha": "1/5"}),
+        "estimate": hi.Estimate(linear=hi.TransferFunction(a=(0.5,))),
+        "experiment": {**yaml.safe_load(FIRST), "trials": 1},
+        "folder": "written",
+        "ours": "written",
+        "reference": "written",
+        "u": np.zeros(3),
+        "y": np.zeros(3),
+        "dt": 0.1,
+    }
+    assert len(set(calls)) == 15
+    for call in dict.fromkeys(calls):
+        eval(call, {**space, **names})
