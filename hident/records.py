@@ -184,8 +184,8 @@ class Record:
         Examples
         --------
         >>> record = Record(np.arange(3.0), np.zeros(3))
-        >>> record.once("mean", record.u.mean), record.once("mean", record.u.max)
-        (1.0, 1.0)
+        >>> record.once("count", lambda: 3), record.once("count", lambda: 4)
+        (3, 3)
         """
         if key not in self._made:
             self._made[key] = make()
