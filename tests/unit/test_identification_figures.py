@@ -638,7 +638,7 @@ class TestDistribution:
             ("printed", "2.2 = p50", "", ""),
             ("stage 2", "1.00 [1.00, 1.00]", "1.00 [1.00, 1.00]", ""),
         )
-        assert table.notes[-1] == "stage 1: 1 of 5 trials failed and are left out."
+        assert table.notes[-1] == "stage 1: 1 of 5 trials failed in a1 and are left out there."
 
     def test_the_data_are_tidy(self, table):
         data = table.data
