@@ -142,6 +142,18 @@ def test_a_tolerance_of_zero_asks_for_every_bit(bench: Bench, foreign: bool) -> 
     assert bench.compare(rtol=0.0).allowed == ()
 
 
+@pytest.mark.parametrize("side", ["out", "results"])
+@pytest.mark.parametrize("provenance", [None, {}, {"git_commit": "abc"}])
+def test_a_run_that_lost_what_says_so_is_a_difference(bench: Bench, side: str, provenance: object) -> None:
+    bench.accept()
+    file = bench.out.parent / side / "tiny" / "run.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "provenance": provenance}))
+    whose = "the reference " if side == "results" else ""
+    assert bench.compare().differences == (
+        f"tiny/run.json: {whose}lacks provenance.key and provenance.sha256, which every run writes",
+    )
+
+
 def test_on_another_arithmetic_as_many_trials_may_move_as_are_likely(bench: Bench) -> None:
     bench.accept(moved=4)
     bench.again(_branch(5, 17, 31), foreign=True)
