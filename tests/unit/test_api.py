@@ -196,7 +196,7 @@ class _Broken(Executor):
     """An executor whose workers have ended."""
 
     def submit(self, fn, /, *args, **kwargs):
-        future = Future()
+        future: Future[object] = Future()
         future.set_exception(BrokenExecutor("gone"))
         return future
 
