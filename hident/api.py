@@ -337,7 +337,8 @@ def run(
     ConfigError
         With all that is wrong, one line for each problem.
     TrialsCrashed
-        If a trial ended in an error that is not a result; the tracebacks are among its notes.
+        If a trial ended in an error that is not a result; the tracebacks are among its notes. Or if a worker
+        process ended abruptly, as in a script without the line above.
     StoreError, StoreBusy
         If the store cannot be used, or another run holds it.
 
@@ -385,6 +386,8 @@ def run(
         except runner.CrashReport as crash:
             crash.add_note(crash.tracebacks)
             raise
+        except runner.WorkerEnded as ended:
+            raise runner.WorkerEnded(kept=ended.kept, in_python=True) from None
 
 
 def _require_source(plan: Plan) -> None:

@@ -245,7 +245,9 @@ def status(
 def compare(
     ours: Annotated[Path, typer.Argument(help="A folder of results, such as out.")] = _OUT,
     reference: Annotated[Path, typer.Argument(help="The folder to hold it against.")] = _RESULTS,
-    rtol: Annotated[float, typer.Option(min=0, help="Relative tolerance of every number.")] = 1e-6,
+    rtol: Annotated[
+        float, typer.Option(min=0, help="Relative tolerance of every number; 0 asks for every bit.")
+    ] = 1e-6,
     complete: Annotated[
         bool, typer.Option("--complete", help="A configuration that was not run is a difference too.")
     ] = False,

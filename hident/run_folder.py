@@ -52,13 +52,18 @@ class RunFolder:
                 return tuple(map(str, names))
         return ()
 
+    @property
+    def sealed(self) -> bool:
+        """Whether run.json says that a run wrote it, by a key or by hashes."""
+        provenance = (self.run() or {}).get("provenance")
+        return isinstance(provenance, dict) and not {"key", "sha256"}.isdisjoint(provenance)
+
     def altered(self) -> list[str]:
         """The files that are not as they were written, by the hashes in run.json; one that is gone counts."""
-        run = self.run() or {}
-        provenance = run.get("provenance")
-        if not isinstance(provenance, dict) or not {"key", "sha256"} & provenance.keys():
+        if not self.sealed:
             return []  # Not written by a run.
-        digests = provenance.pop("sha256", None)
+        run = self.run() or {}
+        digests = run["provenance"].pop("sha256", None)
         if not isinstance(digests, dict):
             return [RUN]
         found = [] if digests.pop(RUN, None) == digest(run) else [RUN]

@@ -199,6 +199,12 @@ def sound_axes(document: Document, complaints: list[Complaint]) -> tuple[Axis, .
     return tuple(sound)
 
 
+def written_axes(document: Document) -> tuple[str, ...]:
+    """The names of the axes under ``cases``, also of those that cannot be applied."""
+    cases = document.data.get("cases")
+    return tuple(cases) if isinstance(cases, Mapping) else ()
+
+
 class _Variables:
     """Where a file and what its axes set name variables."""
 
@@ -281,6 +287,8 @@ def skips(document: Document, axes: Sequence[Axis], complaints: list[Complaint])
     """The cases that a document leaves out under ``skip``; what is wrong goes to the complaints."""
     written = document.data.get("skip", ())
     found: list[Skip] = []
+    # Of an axis that cannot be applied, that is said, and it has no labels to be wrong.
+    unsound = set(written_axes(document)) - {axis.name for axis in axes}
     known = {axis.name: list(map(str, axis.labels)) for axis in axes}
     estimators = document.data.get("estimators")
     known["estimator"] = list(estimators) if isinstance(estimators, Mapping) else []
@@ -290,7 +298,7 @@ def skips(document: Document, axes: Sequence[Axis], complaints: list[Complaint])
         for name, labels in entry.items() if isinstance(entry, Mapping) else ():
             names = [str(label) for label in (labels if isinstance(labels, list) else [labels])]
             chosen[name] = frozenset(names)
-            if name not in known:
+            if name not in known and name not in unsound:
                 problems.append(Problem(("skip", i, name), there_is_no("axis", name, known)))
             what = "estimator" if name == "estimator" else "label"
             problems += [
@@ -301,7 +309,7 @@ def skips(document: Document, axes: Sequence[Axis], complaints: list[Complaint])
         if not chosen and isinstance(entry, Mapping):
             problems.append(Problem(("skip", i), "must name labels of axes, an estimator, or both"))
         complaints += document.complaints_of(problems)
-        if chosen and not problems:
+        if chosen and not problems and unsound.isdisjoint(chosen):
             found.append(Skip(chosen, chosen.pop("estimator", None)))
     return tuple(found)
 

@@ -5,7 +5,7 @@ No data determine the factor between the blocks, and each estimator fixes it by 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from hident.config.suggest import one_of
 from hident.estimators.base import EstimatorSpec
@@ -27,9 +27,19 @@ def governed(metric: MetricSpec, estimator: EstimatorSpec) -> Iterator[tuple[Nor
 
 
 def incomparable(
-    metric: MetricSpec, name: str, estimator: EstimatorSpec, system: SystemSpec, dt: float | None
+    metric: MetricSpec,
+    name: str,
+    estimators: Mapping[str, EstimatorSpec],
+    system: SystemSpec,
+    dt: float | None,
 ) -> Iterator[str]:
-    """Why the metric's score of the estimator, which the file calls ``name``, would say nothing."""
+    """Why the metric's score of an estimator would say nothing.
+
+    ``estimators`` are all that it scores on the same system, by their names in the file; ``name`` is the one
+    meant. What would bring the system to its rule is no remedy where another one's rule asks for another
+    factor.
+    """
+    estimator = estimators[name]
     for rule, parts in governed(metric, estimator):
         named = one_of(part.removeprefix("value ") for part in parts)
         said = (
@@ -39,15 +49,49 @@ def incomparable(
         try:
             factors = rule.factors(system.truth(), dt) or {}
         except ValueError as error:
-            yield f"{said}; {error}{_instead(estimator, system)}"
+            yield f"{said}; {_either([str(error), *_instead(estimator, system)])}"
             continue
         off = {place: factor for place, factor in factors.items() if abs(factor - 1.0) > CLOSE}
         if off:
             found = one_of(f"{factor:.4g}" for factor in off.values())
-            yield (
-                f"{said}, and the system has {found} in place of 1. {_remedy(system, off)}, which is the "
-                f"same system{_instead(estimator, system)}"
-            )
+            said += f", and the system has {found} in place of 1. "
+            against = next(_against(metric, factors, estimators, system, dt), None)
+            if against is None:
+                same = f"{_remedy(system, off)}, which is the same system"
+                yield said + _either([same, *_instead(estimator, system)])
+            else:
+                other, theirs = against
+                yield (
+                    f"{said}The same system with that factor moved would not keep the rule of estimator "
+                    f"'{other}', '{theirs.rule}': {_either(_instead(estimator, system))}"
+                )
+
+
+def _against(
+    metric: MetricSpec,
+    factors: Mapping[str, float],
+    estimators: Mapping[str, EstimatorSpec],
+    system: SystemSpec,
+    dt: float | None,
+) -> Iterator[tuple[str, Normalisation]]:
+    """The estimators with the rules for which the system's blocks must be divided by other factors."""
+    for name, estimator in estimators.items():
+        for rule, _ in governed(metric, estimator):
+            try:
+                theirs = rule.factors(system.truth(), dt)
+            except ValueError:
+                # Nothing brings the system to that rule, and its own message says so.
+                continue
+            if theirs and not _agree(factors, theirs):
+                yield name, rule
+
+
+def _agree(one: Mapping[str, float], other: Mapping[str, float]) -> bool:
+    """Whether the same factor moved between the blocks keeps two rules."""
+    first, second = (
+        {"linear": 1.0 / of["nonlinearity"]} if "nonlinearity" in of else of for of in (one, other)
+    )
+    return all(abs(first[place] / second[place] - 1.0) <= CLOSE for place in first.keys() & second.keys())
 
 
 def _remedy(system: SystemSpec, factors: Mapping[str, float]) -> str:
@@ -67,12 +111,17 @@ def _remedy(system: SystemSpec, factors: Mapping[str, float]) -> str:
     return f"Divide {divided}, and multiply before and after the nonlinearity instead"
 
 
-def _instead(estimator: EstimatorSpec, system: SystemSpec) -> str:
-    """The metrics that do not depend on the factor."""
+def _instead(estimator: EstimatorSpec, system: SystemSpec) -> list[str]:
+    """What else can be done, with the metrics that do not depend on the factor."""
     given, true = estimator.provides(), system.provides()
     metrics = [
         *(["validation_error"] if "response" in given & true else []),
         *(["linear_percent_error"] if "continuous" in true and {"continuous", "linear"} & given else []),
     ]
-    score = f", score what does not depend on it ({one_of(metrics)})" if metrics else ""
-    return f"{score}, or limit the metric to other estimators by 'estimators:' under it"
+    score = [f"score what does not depend on it ({one_of(metrics)})"] if metrics else []
+    return [*score, "limit the metric to other estimators by 'estimators:' under it"]
+
+
+def _either(alternatives: Sequence[str]) -> str:
+    *others, last = alternatives
+    return f"{', '.join(others)}, or {last}" if others else last

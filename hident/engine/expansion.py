@@ -88,6 +88,7 @@ class Expansion:
         self._skipped: set[int] = set()
         self._parts: dict[tuple[Any, ...], Any] = {}
         self._complaints: list[Complaint] = []
+        self._compared: list[_Compared] = []
 
     def document(self, choice: Mapping[int, int]) -> Document:
         """The document with the chosen axes applied, each at its chosen label."""
@@ -148,6 +149,7 @@ class Expansion:
         self._complaints += self._document.complaints_of(
             Problem(("skip", i), "leaves nothing out: no estimate has all these labels") for i in idle
         )
+        self._complain_of_factors()
         complaints += self._complaints
         return [unit for _, unit in sorted(found, key=lambda pair: pair[0])]
 
@@ -169,9 +171,41 @@ class Expansion:
         if data is None or estimator is None or None in metrics.values():
             return None
         unit = Unit(self._labels(choice), name, data, estimator, metrics)
-        if problems := list(_mismatches(unit)):
-            self._complaints += self.document(choice).complaints_of(problems)
+        problems = list(_mismatches(unit))
+        self._complaints += self.document(choice).complaints_of(problems)
+        wrong = {problem.location for problem in problems}
+        if all(location[0] == "metrics" for location in wrong):
+            sound = (metric for metric in scored if ("metrics", metric) not in wrong)
+            self._compared += [_Compared(unit, metric, choice) for metric in sound]
         return unit
+
+    def _complain_of_factors(self) -> None:
+        """Complain of absolute values that are compared where the system does not keep an estimator's rule.
+
+        The case is named where not all cases of the estimator are alike.
+        """
+        together: dict[tuple[str, int], dict[str, EstimatorSpec]] = {}
+        for one in self._compared:
+            together.setdefault((one.metric, id(one.unit.data)), {})[one.unit.name] = one.unit.estimator
+        said: dict[tuple[str, str], dict[str, list[_Compared]]] = {}
+        for one in self._compared:
+            unit, data = one.unit, one.unit.data
+            estimators = {**together[one.metric, id(data)], unit.name: unit.estimator}
+            found = said.setdefault((unit.name, one.metric), {})
+            messages = incomparable(unit.metrics[one.metric], unit.name, estimators, data.system, data.dt)
+            for message in list(messages) or [""]:
+                found.setdefault(message, []).append(one)
+        for (_, metric), found in said.items():
+            for message, where in found.items():
+                first = where[0]
+                labels = ", ".join(f"{axis} {label}" for axis, label in first.unit.labels.items())
+                more = f" and {len(where) - 1} cases more" if len(where) > 1 else ""
+                case = f" at {labels}{more}" if len(found) > 1 else ""
+                problem = Problem(
+                    ("metrics", metric), f"the metric '{first.unit.metrics[metric].kind}'{case} {message}"
+                )
+                if message:
+                    self._complaints += self.document(first.choice).complaints_of([problem])
 
     def _choices(self, roots: set[tuple[str, ...]]) -> _Choices:
         relevant = [i for i, axis in enumerate(self._axes) if axis.roots & roots]
@@ -191,6 +225,15 @@ class Expansion:
                 self._parts[root, relevant] = None
                 self._complaints += document.complaints_of(problems_of(error, location))
         return self._parts[root, relevant]
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """A metric of a unit with which nothing is wrong so far, and the labels that make its case."""
+
+    unit: Unit
+    metric: str
+    choice: Mapping[int, int]
 
 
 @dataclass(frozen=True)
@@ -307,5 +350,3 @@ def _unsound(unit: Unit, metric: MetricSpec) -> Iterator[str]:
         )
     except (ValueError, ArithmeticError) as error:
         yield f"the metric '{metric.kind}' {error}"
-    for message in incomparable(metric, unit.name, estimator, data.system, data.dt):
-        yield f"the metric '{metric.kind}' {message}"

@@ -31,7 +31,17 @@ from hident.config.repeated import repeated
 from hident.config.spec import Component, Count, Of, Spec
 from hident.config.suggest import did_you_mean, there_is_no
 from hident.config.yaml12 import Complaint, Place, error_of
-from hident.engine.cases import CHANGEABLE, DATA, Axis, Cases, Label, idle_assignments, skips, sound_axes
+from hident.engine.cases import (
+    CHANGEABLE,
+    DATA,
+    Axis,
+    Cases,
+    Label,
+    idle_assignments,
+    skips,
+    sound_axes,
+    written_axes,
+)
 from hident.engine.every_value import with_every_value
 from hident.engine.expansion import Expansion, Unit
 from hident.engine.run_files import misnamed
@@ -313,7 +323,7 @@ def load(
             or problem.location[0] not in CHANGEABLE
         )
         raise error_of([*complaints, *expansion.complaints()]) from None
-    complaints += first.complaints_of(_unknown_names(experiment, axes))
+    complaints += first.complaints_of(_unknown_names(experiment, axes, written_axes(document)))
     complaints += first.complaints_of(
         Problem((section, name), message)
         for section, name, message in misnamed(experiment.tables, experiment.figures)
@@ -364,17 +374,17 @@ def _missing_paper(plan: Plan) -> Iterator[Problem]:
         yield Problem(("paper",), f"there is no folder {plan.paper}{near}")
 
 
-def _unknown_names(experiment: Experiment, axes: Sequence[Axis]) -> Iterator[Problem]:
-    """Names that refer to nothing in the file."""
+def _unknown_names(experiment: Experiment, axes: Sequence[Axis], written: Sequence[str]) -> Iterator[Problem]:
+    """Names that refer to nothing in the file; axes are all that are written, sound or not."""
     known: dict[str, list[str]] = {
         "estimator": list(experiment.estimators),
         "metric": [label for name, spec in experiment.metrics.items() for label in spec.labels(name)],
-        "axis": [axis.name for axis in axes],
+        "axis": list(written),
         "table": list(experiment.tables),
         **{f"label of {axis.name}": list(map(str, axis.labels)) for axis in axes},
     }
     for place, what, name in (one for value in referring(experiment) for one in value.names()):
-        # Of an axis that there is not, no label is missing.
+        # Of an axis that there is not, or that cannot be applied, no label is missing.
         there = known.get(what, [name])
         if name not in there:
             yield Problem(place, there_is_no(what, name, there))

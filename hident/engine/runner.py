@@ -80,15 +80,17 @@ def run(
     Raises
     ------
     TrialsCrashed
-        If a trial ended in an error that is not a result; finished trials are kept.
+        If a trial ended in an error that is not a result, or a worker process with its trials; finished ones
+        are kept if there is a store.
     StoreError
         If the store cannot be used.
     KeyboardInterrupt
         At Ctrl-C; with several workers when the chunks in flight are stored, and at a second one at once.
     """
+    kept = store is not None
     store = MemoryStore() if store is None else store
     return _Run(
-        plan, store, executor or SerialExecutor(), workers, keep_going, progress or Silent()
+        plan, store, kept, executor or SerialExecutor(), workers, keep_going, progress or Silent()
     ).results()
 
 
@@ -99,12 +101,14 @@ class _Run:
         self,
         plan: Plan,
         store: TrialStore,
+        kept: bool,
         executor: Executor,
         workers: int,
         keep_going: bool,
         progress: Progress,
     ) -> None:
-        self._plan, self._store, self._executor, self._workers = plan, store, executor, workers
+        self._plan, self._store, self._kept = plan, store, kept
+        self._executor, self._workers = executor, workers
         self._keep_going, self._progress = keep_going, progress
         self._units = [UnitTrials(*of, plan.trials) for of in zip(plan.units, plan.keys, strict=True)]
         # Made one by one, as they are asked for.
@@ -122,14 +126,11 @@ class _Run:
         try:
             self._compute()
         except BrokenExecutor:
-            raise TrialsCrashed(
-                "a worker process ended abruptly: it was killed, perhaps for want of memory, or an estimator "
-                "ended it.\nAll finished trials are kept: run again, with fewer --jobs if memory is short."
-            ) from None
+            raise WorkerEnded(kept=self._kept) from None
         finally:
             self._progress.finish()
         if self._crashes:
-            raise CrashReport(self._crashes)
+            raise CrashReport(self._crashes, kept=self._kept)
         return Results(self._plan, tuple(series for unit in self._units for series in unit.series()))
 
     def _compute(self) -> None:
@@ -235,16 +236,40 @@ class Crash:
 class CrashReport(TrialsCrashed):
     """The crashes of a run, with their tracebacks in ``tracebacks``."""
 
-    def __init__(self, crashes: Sequence[Crash]) -> None:
+    def __init__(self, crashes: Sequence[Crash], *, kept: bool) -> None:
         first = crashes[0]
         more = f" (and {len(crashes) - 1} more)" if len(crashes) > 1 else ""
         super().__init__(
             f"trial {first.trial} of {first.unit.described()} crashed{more}: {first.error}\n"
-            "All finished trials are kept; a run after the repair resumes."
+            + (
+                "All finished trials are kept; a run after the repair resumes."
+                if kept
+                else "Without a store no trial is kept; with one, a run after the repair resumes."
+            )
         )
         self.tracebacks = "\n".join(
             f"trial {crash.trial} of {crash.unit.described()}\n{crash.traceback}" for crash in crashes
         )
+
+
+class WorkerEnded(TrialsCrashed):
+    """A worker process ended abruptly, with the trials that it had.
+
+    ``kept`` says whether a store has the others, ``in_python`` whether a script may have started the run.
+    """
+
+    def __init__(self, *, kept: bool, in_python: bool = False) -> None:
+        script = (
+            ", or it ran the script that started it from the top, as each worker does, where the call is not "
+            'under `if __name__ == "__main__":`'
+        )
+        fate = "All finished trials are kept" if kept else "Without a store no trial is kept"
+        super().__init__(
+            "a worker process ended abruptly: it was killed, perhaps for want of memory, or an estimator "
+            f"ended it{script if in_python else ''}.\n{fate}: run again, with fewer "
+            f"{'workers' if in_python else '--jobs'} if memory is short."
+        )
+        self.kept = kept
 
 
 def stored(plan: Plan, store: Store) -> list[int]:

@@ -64,7 +64,8 @@ def compare(
     ours, reference : Path
         A result folder holds ``run.json`` or ``table.csv``.
     rtol : float
-        Relative tolerance of numbers.
+        Relative tolerance of numbers; 0 asks for every bit. Below that of the stored sensitivity, none may
+        differ between different arithmetics either.
     complete : bool
         Whether a configuration that only the reference has is a difference.
     partial : bool
@@ -164,12 +165,7 @@ class _Pair:
 
     def judge(self, chance: float, found: _Found) -> None:
         """Add what the configuration differs in; ``chance`` is that of more moved trials than likely."""
-        differences = [
-            f"{name}: {whose}altered since it was written"
-            for folder, whose in ((self._ours, ""), (self._reference, "the reference was "))
-            for name in RunFolder(folder).altered()
-        ]
-        found.differences += [f"{self._title}/{line}" for line in differences]
+        found.differences += [f"{self._title}/{line}" for line in self._altered()]
         if self.trials is None:
             found.differences += [f"{self._title}/{line}" for line in self._lines(self._names())]
             return
@@ -181,6 +177,16 @@ class _Pair:
             return
         for line, counts in self._judged(self.trials, chance):
             (found.differences if counts else found.allowed).append(f"{self._title}{line}")
+
+    def _altered(self) -> Iterator[str]:
+        """What was altered on either side, and a run.json that cannot say so though the other's can."""
+        sides = ((RunFolder(self._ours), ""), (RunFolder(self._reference), "the reference "))
+        sealed = any(folder.sealed for folder, _ in sides)
+        for folder, whose in sides:
+            was = "was " if whose else ""
+            yield from (f"{name}: {whose}{was}altered since it was written" for name in folder.altered())
+            if sealed and folder.finished and not folder.sealed:
+                yield f"{RUN}: {whose}lacks provenance.key and provenance.sha256, which every run writes"
 
     def _judged(self, trials: TrialComparison, chance: float) -> Iterator[tuple[str, bool]]:
         """What differs, and whether it counts as a difference."""

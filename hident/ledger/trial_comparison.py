@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hident.arrays import Array
 from hident.engine.results import STATISTICS, statistics
 from hident.ledger.contents import Row
-from hident.ledger.sensitivity import Count, Sensitivity
+from hident.ledger.sensitivity import RTOL, Count, Sensitivity
 from hident.ledger.trial_values import Difference, Key, TrialValues, difference, scale_of
 from hident.numerics.choices import ROUNDING
 
@@ -36,7 +36,8 @@ class Moved:
 class TrialComparison:
     """The series of two runs on the trials that both have.
 
-    ``sensitivity`` is None between equal arithmetics, where no trial may move.
+    ``sensitivity`` is None between equal arithmetics, where no trial may move. It was measured at a relative
+    tolerance of its own, and says nothing of how many trials differ by less.
     """
 
     ours: TrialValues
@@ -78,6 +79,12 @@ class TrialComparison:
             if self.sensitivity is None:
                 text += f"differ ({_listed(which)}), though the arithmetic is the same"
                 allowed = False
+            elif self.rtol < RTOL:
+                text += (
+                    f"differ ({_listed(which)}); how many may is known at a relative tolerance of {RTOL:g}, "
+                    f"and not at {self.rtol:g}"
+                )
+                allowed = False
             else:
                 count = self.sensitivity.counts.get(unit, Count(0, 0, 0))
                 most = count.likely(len(which), chance)
@@ -89,7 +96,7 @@ class TrialComparison:
 
     def _together(self, marks: Mapping[Key, NDArray[np.bool_]], chance: float) -> str:
         """Why so many estimates of all units may not differ; empty if they may."""
-        if self.sensitivity is None:
+        if self.sensitivity is None or self.rtol < RTOL:
             return ""
         estimates, moved = sum(map(len, marks.values())), int(sum(map(np.sum, marks.values())))
         count = Count.together(
@@ -105,7 +112,7 @@ class TrialComparison:
         for key in moved[:_MOST_SERIES]:
             mine, theirs = statistics(self.ours.series[key]), statistics(self.reference.series[key])
             cells = [
-                f"{name} {mine[name]:.6g} (reference {theirs[name]:.6g})"
+                "{} {} (reference {})".format(name, *_digits(mine[name], theirs[name]))
                 for name in _SHOWN
                 if not _agree(mine[name], theirs[name], self.rtol)
             ]
@@ -146,6 +153,12 @@ def _agree(one: float, other: float, rtol: float, atol: float = 0.0) -> bool:
     if not (math.isfinite(one) and math.isfinite(other)):
         return one == other or (math.isnan(one) and math.isnan(other))
     return abs(one - other) <= max(rtol * max(abs(one), abs(other)), atol)
+
+
+def _digits(one: float, other: float) -> tuple[str, str]:
+    """Two numbers that differ, with six digits or as many as show it."""
+    short = f"{one:.6g}", f"{other:.6g}"
+    return (repr(float(one)), repr(float(other))) if short[0] == short[1] else short
 
 
 def _listed(which: Array) -> str:

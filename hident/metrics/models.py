@@ -18,6 +18,8 @@ from hident.numerics.rounding import is_constant
 from hident.records import Estimate, Record, needed
 from hident.signals.base import ExcitationSpec
 
+# The share of its state that a block keeps in a step below which its sampled parameters say nothing of it.
+_GONE = 1e-6
 # Sampling intervals this close, relative to their size, are one.
 _SAME = 1e-9
 
@@ -98,6 +100,13 @@ class LinearPercentError(MetricSpec):
             raise ValueError(
                 "leaves the gain apart, and the system's linear block has no static gain (b_0 = 0) to be "
                 "divided by: score the parameters by kind error, or the whole model by validation_error"
+            )
+        slowest = float(np.max(truth.poles().real)) if truth is not None and truth.a else 0.0
+        if step * slowest < math.log(_GONE):
+            raise ValueError(
+                f"compares blocks sampled every {step:g}, in which the system's linear block (its longest "
+                f"time constant is {-1.0 / slowest:.3g}) forgets all that its parameters say: set a smaller "
+                "'step'"
             )
         discrete = "linear" in scored.provides and "continuous" not in scored.provides
         if discrete and abs(step - scored.step) > _SAME * step:

@@ -27,7 +27,7 @@ from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import Verdict, frame, judge
 from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, misfits
 from hident.reports.scoring import scoring
-from hident.reports.style import style
+from hident.reports.style import style, typeset
 from hident.reports.tables.writing import failures, written
 from hident.run_folder import RunFolder, State
 
@@ -196,6 +196,7 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
         with style():
             try:
                 figure = spec.draw(results, verdicts)
+                typeset(figure)
                 # Without the writer's version in it, the file depends on what it shows alone.
                 figure.savefig(folder / figure_file(name), metadata={"Software": None})
             except OSError:

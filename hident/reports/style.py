@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -23,10 +24,13 @@ LINES: tuple[Look, ...] = (
     {"color": "#a67c00", "linestyle": (0, (5, 1, 1, 1, 1, 1)), "marker": "v"},
 )
 TRUTH: Look = {"color": "black", "linewidth": 1.4, "zorder": 4}
+TRUE_LEVEL: Look = {"color": "black", "linewidth": 1.0, "zorder": 1}
+"""A line across a panel at a true number: behind the estimates, and over the grid."""
 ESTIMATE: Look = {"color": "#c1440e", "linewidth": 1.1, "zorder": 5}
 DATA: Look = {"color": "0.62", "marker": ".", "linestyle": "none", "markersize": 3, "zorder": 1}
 
 _MARKS = 9
+_POWER = re.compile(r"\b([A-Za-z])\^(-?\d+)")
 # Inches that a letter of a legend takes, and a handle with the space around it.
 _LETTER = 0.064
 _HANDLE = 0.55
@@ -38,6 +42,7 @@ _SETTINGS: dict[str, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.color": "0.9",
     "grid.linewidth": 0.6,
     "lines.linewidth": 1.2,
@@ -83,6 +88,16 @@ def symbol(name: str) -> str:
     return f"${letter}_{{{index}}}$" if underscore else name
 
 
+def typeset(figure: Figure) -> None:
+    """Set powers as in R^-1 as mathematics, in every text that is not mathematics already."""
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        if "$" not in (said := text.get_text()) and _POWER.search(said):
+            text.set_text(_POWER.sub(r"$\1^{\2}$", said))
+
+
 def looks(labels: Iterable[str]) -> dict[str, Look]:
     """One look for each label, the same in all panels of a figure."""
     return {label: LINES[i % len(LINES)] for i, label in enumerate(dict.fromkeys(labels))}
@@ -92,6 +107,11 @@ def marked(look: Look, place: int, points: int) -> Look:
     """The look with a few markers only, which those of other curves do not cover."""
     step = max(1, points // _MARKS)
     return {**look, "markevery": (place * step // 5 % step, step)}
+
+
+def band_edge(look: Look) -> Look:
+    """The look of the edges of a band, which tell overlapping ones apart without colour."""
+    return {**look, "linewidth": 0.6, "alpha": 0.6, "marker": ""}
 
 
 def panel_grid(count: int, columns: int, width: float, height: float) -> tuple[Figure, list[Axes]]:

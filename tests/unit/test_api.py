@@ -1,6 +1,6 @@
 """The verbs from Python: the same numbers as a run of the command line, and the same words."""
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 
 import numpy as np
 import pandas as pd
@@ -185,7 +185,7 @@ def test_what_is_defined_at_a_prompt_runs_here_only(tmp_path, monkeypatch):
             hi.run(source, **given)
 
 
-def test_a_crash_carries_its_traceback(monkeypatch):
+def test_a_crash_carries_its_traceback(monkeypatch, tmp_path):
     def crash(self, record, rng=None):
         raise RuntimeError("a fault of the method")
 
@@ -193,6 +193,34 @@ def test_a_crash_carries_its_traceback(monkeypatch):
     with pytest.raises(TrialsCrashed, match="a fault of the method") as caught:
         hi.run(MADE)
     assert "in crash" in "".join(caught.value.__notes__)
+    assert str(caught.value).endswith(
+        "\nWithout a store no trial is kept; with one, a run after the repair resumes."
+    )
+    with pytest.raises(TrialsCrashed, match="All finished trials are kept; a run after the repair resumes"):
+        hi.run(MADE, store=tmp_path)
+
+
+class _Broken(Executor):
+    """An executor whose workers have ended."""
+
+    def submit(self, fn, /, *args, **kwargs):
+        future: Future[object] = Future()
+        future.set_exception(BrokenExecutor("gone"))
+        return future
+
+
+@pytest.mark.parametrize(
+    ("kept", "given"),
+    [("Without a store no trial is kept", False), ("All finished trials are kept", True)],
+)
+def test_a_worker_that_ends_may_lack_the_guard_of_its_script(tmp_path, kept, given):
+    with pytest.raises(TrialsCrashed) as caught:
+        hi.run(MADE, executor=_Broken(), store=tmp_path if given else None)
+    assert str(caught.value) == (
+        "a worker process ended abruptly: it was killed, perhaps for want of memory, or an estimator ended "
+        "it, or it ran the script that started it from the top, as each worker does, where the call is not "
+        f'under `if __name__ == "__main__":`.\n{kept}: run again, with fewer workers if memory is short.'
+    )
 
 
 def _register():

@@ -95,6 +95,34 @@ def test_another_split_of_the_gain_is_refused_with_the_remedy(refusals):
     assert "gamma_0 = 0, which no factor makes 1: its block delays the input more" in second
 
 
+def test_no_remedy_is_given_that_another_estimators_rule_forbids(refusals):
+    two = SCALE.replace(
+        "kernel: {kind: kernel, kernel: gaussian, bandwidth: {h0: 0.4, alpha: 1/5}}",
+        "Voros: {kind: voros_hammerstein, n: 1, m: 2, degree: 2}",
+    )
+    first, second = refusals(two)
+    assert first.endswith(
+        "by the rule '|b| = 1, b_1 > 0', and the system has 2.236 in place of 1. The same system with that "
+        "factor moved would not keep the rule of estimator 'Voros', 'b_1 = 1': limit the metric to other "
+        "estimators by 'estimators:' under it"
+    )
+    assert "the rule of estimator 'two-stage', '|b| = 1, b_1 > 0'" in second
+    # One factor may do for two rules.
+    for line in refusals(two.replace("b: [0, 2, 1]", "b: [0, 2]")):
+        assert "Divide b of the linear block by 2 and multiply the nonlinearity by it" in line
+
+
+def test_the_case_is_named_where_not_all_are_alike(refusals):
+    alone = SCALE.replace(
+        "  kernel: {kind: kernel, kernel: gaussian, bandwidth: {h0: 0.4, alpha: 1/5}}\n", ""
+    )
+    cases = "cases: {b: {one: {system.linear.b: [0, 0.6, 0.8]}, two: {system.linear.b: [0, 2, 1]}}}\n"
+    (message,) = refusals(alone + cases)
+    assert "the metric 'nonlinearity_percent_error' at b two compares absolute values" in message
+    (message,) = refusals(f"{alone}cases: {{samples: [400, 500]}}\n")
+    assert "the metric 'nonlinearity_percent_error' compares absolute values" in message
+
+
 def test_the_remedy_gives_the_same_system_and_a_right_score(plan_of):
     estimator = "{kind: two_stage, lags: 3, degree: 2}"
     split = hammerstein(

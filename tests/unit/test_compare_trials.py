@@ -120,6 +120,40 @@ def test_between_equal_arithmetics_no_trial_may_move(bench: Bench) -> None:
     assert found.allowed == ()
 
 
+@pytest.mark.parametrize("foreign", [False, True])
+def test_a_tolerance_of_zero_asks_for_every_bit(bench: Bench, foreign: bool) -> None:
+    def change(values: Array) -> None:
+        values[5] = np.nextafter(values[5], np.inf)
+
+    bench.accept(moved=70)
+    bench.again(change, foreign=foreign)
+    assert bench.compare().differences == ()
+    unit = next(text for text in bench.compare(rtol=0.0).differences if text.startswith(_UNIT))
+    reason = (
+        "; how many may is known at a relative tolerance of 1e-06, and not at 0"
+        if foreign
+        else ", though the arithmetic is the same"
+    )
+    first, *cells = unit.splitlines()
+    assert first == f"{_UNIT}1 of 40 trials differ (5){reason}; all others equal to the last bit"
+    # Numbers that are said to differ are seen to differ.
+    for one, other in re.findall(r"\w+ (\S+) \(reference (\S+)\)", "".join(cells)):
+        assert one != other
+    assert bench.compare(rtol=0.0).allowed == ()
+
+
+@pytest.mark.parametrize("side", ["out", "results"])
+@pytest.mark.parametrize("provenance", [None, {}, {"git_commit": "abc"}])
+def test_a_run_that_lost_what_says_so_is_a_difference(bench: Bench, side: str, provenance: object) -> None:
+    bench.accept()
+    file = bench.out.parent / side / "tiny" / "run.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "provenance": provenance}))
+    whose = "the reference " if side == "results" else ""
+    assert bench.compare().differences == (
+        f"tiny/run.json: {whose}lacks provenance.key and provenance.sha256, which every run writes",
+    )
+
+
 def test_on_another_arithmetic_as_many_trials_may_move_as_are_likely(bench: Bench) -> None:
     bench.accept(moved=4)
     bench.again(_branch(5, 17, 31), foreign=True)

@@ -431,6 +431,21 @@ class TestMessages:
         assert refused(with_(more=f"cases: {cases}\n")) == [f"a.yaml:17: {message}"]
 
     @pytest.mark.parametrize(
+        "cases",
+        ["{h: {a: {estimators.kk.order: 1}}}", "{h: {a: {sample: 30}}}", "{h: {a: {$k: 1}}}"],
+    )
+    def test_an_axis_that_cannot_be_applied_is_no_missing_axis_elsewhere(self, refused, cases):
+        rest = """\
+skip: [{h: a, samples: 50}]
+tables:
+  t: {kind: grid, title: T, rows: h, columns: [{estimator: k, metric: mise}]}
+figures:
+  f: {kind: realisation, at: [{h: a}, {h: b}], estimators: [k], interval: [-1, 1]}
+"""
+        (message,) = refused(with_(more=f"cases: {cases[:-1]}, samples: [50, 60]}}\n{rest}"))
+        assert message.startswith("a.yaml:17: cases.h: ")
+
+    @pytest.mark.parametrize(
         ("replacement", "message"),
         [
             (

@@ -157,12 +157,11 @@ def test_a_metric_that_fails_takes_no_other_metric_along(lab: Lab) -> None:
     ]
     notes = [line for line in markdown(results, (), {}).splitlines() if "failed" in line and "|" not in line]
     assert notes == [
-        f"6 of 6 trials of estimator '{name}' at samples 50 failed ({why}) and are left out of the "
-        "statistics."
+        f"6 of 6 trials of estimator '{name}' at samples 50 failed{why} statistics."
         for name, why in (
-            ("e", "b: ZeroDivisionError: division by zero"),
-            ("e", "c: the value is nan"),
-            ("f", "stopped at t = 3.5"),
+            ("e", " for b (ZeroDivisionError: division by zero) and are left out of its"),
+            ("e", " for c (the value is nan) and are left out of its"),
+            ("f", " (stopped at t = 3.5) and are left out of the"),
         )
     ]
 
@@ -195,7 +194,7 @@ def test_a_truth_that_is_no_number_is_named_with_its_place(lab: Lab) -> None:
         tables={},
     )
     assert (
-        "5 of 5 trials of estimator 'k' failed (mise: the true nonlinearity is nan at u = -2.99"
+        "5 of 5 trials of estimator 'k' failed for mise (the true nonlinearity is nan at u = -2.99"
         in markdown(results, (), {})
     )
 

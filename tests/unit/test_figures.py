@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hident.ledger.verdicts import judge
-from hident.reports.style import style
+from hident.reports.style import style, subplots, typeset
 from tests.unit.results_maker import PUBLISHED, made
 
 CURVE = """
@@ -57,6 +57,27 @@ def test_curves_differ_without_colour(tmp_path, draw):
     curves = [line for line in axes.lines if line.get_label() in ("one", "two")]
     looks = {(line.get_linestyle(), line.get_marker()) for line in curves}
     assert len(looks) == 2
+
+
+def test_a_slope_stands_below_all_curves(tmp_path, draw):
+    values = {("two", str(n)): np.linspace(1.0, 2.0, 21) / (3 * n) for n in (10, 100, 1000)}
+    values |= {("one", str(n)): np.linspace(1.0, 2.0, 21) / n for n in (10, 100, 1000)}
+    rest = CURVE.replace("[[one, two]]", "[[one], [one, two]]")
+    starts = [axes.lines[-1].get_ydata()[0] for axes in draw(made(tmp_path, values, rest=rest)).axes]
+    assert starts == pytest.approx([0.075, 0.025])
+
+
+def test_powers_are_set_as_mathematics(draw):
+    figure, axes = subplots(figsize=(2, 2))
+    axes.plot([0, 1], label="W = R^-1, N = 10^3")
+    axes.set_xlabel("$R^-1$ or x^2")
+    axes.set_ylabel("std with W = R^-1")
+    axes.legend()
+    typeset(figure)
+    (entry,) = axes.get_legend().get_texts()
+    assert entry.get_text() == "W = $R^{-1}$, N = 10^3"
+    assert axes.get_xlabel() == "$R^-1$ or x^2"
+    assert axes.get_ylabel() == "std with W = $R^{-1}$"
 
 
 def test_a_realisation_shows_data_truth_and_estimate_in_every_panel(tmp_path, draw):

@@ -189,8 +189,18 @@ def test_a_bode_diagram_shows_truth_medians_and_errors(tmp_path, draw):
     assert errors.lines[-1].get_ydata() == pytest.approx(100.0 * (0.65 / true - 1.0))
     band = errors.collections[0].get_paths()[0].get_extents()
     assert band.y1 == pytest.approx(np.max(100.0 * (0.785 / true - 1.0)))
+    entries = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert entries == ["true", "FGI", "FGI, central 90 %"]
     phases = figure.axes[6].lines[-1].get_ydata()
     assert phases == pytest.approx(0.65 - frequency.phase(block, np.array([0.5, 1.0])))
+
+
+def test_equal_marks_of_a_bode_diagram_are_all_seen(tmp_path, draw):
+    more = BODE.replace("estimators: [FGI]", "estimators: [FGI, FGI]")
+    marks = draw(results(tmp_path, more)).axes[0].lines[1:]
+    first, second = ((mark.get_markersize(), mark.get_markerfacecolor()) for mark in marks)
+    assert first[0] > second[0]
+    assert first[1] == second[1] == "none"
 
 
 def test_a_bode_diagram_leaves_out_what_most_trials_lack(tmp_path, draw):

@@ -203,6 +203,7 @@ x_offset: steady_input
 t_label: time, s
 u_label: input, mL/s
 y_label: pH
+u_title: (a) the input
 panels:
   - {curves: [{estimator: one}, {estimator: two}], y_offset: steady_output}
 """
@@ -212,6 +213,7 @@ interval: [0, 40]
 x_label: F, L/h
 y_label: settling time, h
 """
+SCATTER = "panels: [{x: {estimator: one, metric: %s}, y: {estimator: one, metric: %s}}]"
 LIMIT = """\
 table: limit
 x_label: D
@@ -308,7 +310,7 @@ class TestSearch:
     def test_a_structure_panel_shows_the_best_delay_of_every_candidate(self, draw):
         axes = draw("search", SEARCH).axes[0]
         lines = lines_of(axes)
-        assert list(lines) == ["m = 0", "m = 1", "m = 2", "m = 3"]
+        assert list(lines) == ["m = 0", "m = 1", "m = 2", "m = 3", "chosen"]
         search = structure_search()
         for m in range(4):
             at = (search.m == m) & (search.delay == 2.0)
@@ -316,12 +318,12 @@ class TestSearch:
             assert shown[search.n[at] - 1] == pytest.approx(search.error[at])
             assert np.isnan(shown[:m]).all()
         assert axes.get_yscale() == "log"
-        assert axes.get_title() == "(a) structure"
 
-    def test_an_arrow_points_at_the_chosen_structure(self, draw):
-        (note,) = draw("search", SEARCH).axes[0].texts
-        assert note.get_text() == "chosen: n = 3, m = 1, d = 2"
-        assert note.xy == pytest.approx((3.0, 0.1 + 1e-3 / 3))
+    def test_a_ring_stands_around_the_chosen_structure_and_its_words_clear_of_the_curves(self, draw):
+        axes = draw("search", SEARCH).axes[0]
+        assert axes.get_title() == "(a) structure\nchosen: n = 3, m = 1, d = 2"
+        assert not axes.texts
+        assert lines_of(axes)["chosen"].get_xydata().ravel() == pytest.approx((3.0, 0.1 + 1e-3 / 3))
 
     def test_a_hopeless_candidate_does_not_flatten_the_others(self, draw, monkeypatch):
         search = structure_search()
@@ -339,7 +341,7 @@ class TestSearch:
         )
         best = next(line for label, line in lines.items() if label.startswith("best"))
         assert best.get_xydata().ravel() == pytest.approx([-0.55, 0.52])
-        assert "(-0.55, 0.52)" in [text.get_text() for text in axes.texts]
+        assert axes.get_title().endswith("\nbest: (-0.55, 0.52)")
         assert (axes.get_xlabel(), axes.get_ylabel()) == ("$u_{-1}$", "$u_1$")
         filled = axes.collections[0]
         assert filled.levels[0] == 1.0
@@ -430,6 +432,8 @@ class TestConvergence:
         assert list(lines) == ["one", "two, not converged", "true"]
         assert lines["one"].get_ydata() == pytest.approx(2.0 + 0.3 ** np.arange(9))
         assert lines["true"].get_ydata() == pytest.approx([2.0, 2.0])
+        # No grid line is drawn over the truth.
+        assert lines["true"].get_zorder() > parameter.xaxis.get_zorder()
         # Errors of a_1 and b_0 over |2| + |1|.
         expected = 100.0 * 1.1 / 3.0
         assert lines_of(score)["one"].get_ydata() == pytest.approx(expected * 0.3 ** np.arange(9))
@@ -498,6 +502,7 @@ class TestValidation:
     def test_the_input_and_the_responses_stand_at_absolute_values(self, draw):
         applied, responses = draw("validation", VALIDATION).axes
         t, u = applied.lines[0].get_data()
+        assert applied.get_title() == "(a) the input"
         assert t == pytest.approx(0.1 * np.arange(400))
         assert u[[0, 150, 250, 350]] - STEADY_INPUT == pytest.approx([0.0, 1.0, -1.0, 0.5])
         lines = lines_of(responses)
@@ -593,6 +598,30 @@ class TestLimit:
         (axes,) = draw("limit", fields, values=errors(reach)).axes
         assert list(lines_of(axes)) == ["one", "two, nowhere", "goes beyond"]
 
+    def test_methods_that_go_equally_far_are_seen_side_by_side(self, draw):
+        figure = draw("limit", LIMIT, values=errors({**REACH, ("two", "1"): 2.0}))
+        axes = figure.axes[1]
+        lines = lines_of(axes)
+        one, two = (lines[name].get_transform().transform((1.0, 2.0)) for name in ("one", "two"))
+        assert two[0] - one[0] > 0.05 * figure.dpi
+        assert two[1] == pytest.approx(one[1])
+        arrows = [line for line in axes.lines if line.get_marker() == r"$\uparrow$"]
+        assert [line.get_xydata().ravel().tolist() for line in arrows] == [[1.0, 2.0], [1.0, 2.0]]
+        assert axes.get_xlim() == pytest.approx((4**-0.1, 4**1.1))
+
+
+class TestScatter:
+    def test_lines_stand_at_the_true_values(self, draw):
+        axes = draw("scatter", SCATTER % ("theta a_1", "theta b_0")).axes[0]
+        assert [line.get_label() for line in axes.lines] == ["our trials", "true", "true"]
+        _, upright, level = axes.lines
+        assert upright.get_xdata() == pytest.approx([2.0, 2.0])
+        assert level.get_ydata() == pytest.approx([1.0, 1.0])
+
+    def test_what_is_no_value_of_the_system_has_no_true_number(self, draw):
+        axes = draw("scatter", SCATTER % ("error", "error")).axes[0]
+        assert [line.get_label() for line in axes.lines] == ["our trials"]
+
 
 class TestDistribution:
     @pytest.fixture
@@ -609,7 +638,7 @@ class TestDistribution:
             ("printed", "2.2 = p50", "", ""),
             ("stage 2", "1.00 [1.00, 1.00]", "1.00 [1.00, 1.00]", ""),
         )
-        assert table.notes[-1] == "stage 1: 1 of 5 trials failed and are left out."
+        assert table.notes[-1] == "stage 1: 1 of 5 trials failed in a1 and are left out there."
 
     def test_the_data_are_tidy(self, table):
         data = table.data

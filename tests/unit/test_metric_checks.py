@@ -213,6 +213,20 @@ class TestStep:
         (error,) = unit.metrics["m"].evaluate(found, generate(unit.data, 1, 0))
         assert 1e-3 < error < 50.0
 
+    def test_a_step_in_which_the_block_forgets_all_is_refused(self, refused):
+        block = {
+            "DT": "0.0001",
+            "AS": "[0.003, 2.0e-6]",
+            "EXCITATION": "{kind: multistep, switching_time: 0.001, std: 1, limits: [-3, 3]}",
+            "ESTIMATOR": "{kind: linear_model, block: {n: 2, m: 0, horizon: 0.01}}",
+        }
+        assert refused(**block, METRIC="{kind: linear_percent_error, step: 1}") == (
+            "metrics.m: the metric 'linear_percent_error' compares blocks sampled every 1, in which the "
+            "system's linear block (its longest time constant is 0.002) forgets all that its parameters say: "
+            "set a smaller 'step'"
+        )
+        assert refused(**block, METRIC="{kind: linear_percent_error, step: 0.02}") is None
+
     def test_a_discrete_estimate_of_another_step_is_refused(self, refused):
         voros = "{kind: voros_hammerstein, n: 2, m: 2, degree: 2, step: 1}"
         assert refused(ESTIMATOR=voros) == (

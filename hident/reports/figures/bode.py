@@ -18,7 +18,7 @@ from hident.ledger.verdicts import Verdict
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.metrics import frequency
 from hident.reports.base import FigureSpec, Misfit
-from hident.reports.style import LINES, TRUTH, legend_above, panel_grid
+from hident.reports.style import LINES, TRUTH, Look, band_edge, legend_above, panel_grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,8 +31,9 @@ _POINTS = 400
 class Bode(FigureSpec):
     """Gains and phases of both linear blocks at the frequencies of the sines, and below their errors.
 
-    Marks are medians over the trials and bands, which the errors need to be seen, their central 90 %. What
-    fewer than half of the trials determine is left out.
+    Marks are medians over the trials and bands, which the errors need to be seen, their central 90 %. The
+    marks are hollow, those of an earlier estimator wider, so that equal ones are all seen. What fewer than
+    half of the trials determine is left out.
     """
 
     metric: Annotated[str, Metric(labels=lambda bode, metric: bode.labels())]
@@ -97,15 +98,21 @@ class Bode(FigureSpec):
         dense = np.geomspace(omega[0], omega[-1], _POINTS)
         above.plot(dense, function(block, dense), label="true", **TRUTH)
         below.axhline(0.0, **TRUTH)
-        for estimator, line in zip(self.estimators, LINES, strict=False):
+        for place, (estimator, line) in enumerate(zip(self.estimators, LINES, strict=False)):
             series = [next(results.select(estimator, f"{self.metric} {name}")) for name in names]
             seen = np.array([2 * one.statistics["failed"] <= one.statistics["trials"] for one in series])
             low, middle, high = (
                 np.array([one.statistics[name] for one in series]) for name in ("q05", "median", "q95")
             )
-            mark = {**line, "linestyle": "none", "markersize": 3, "zorder": 5}
+            mark: Look = {**line, "linestyle": "none", "markerfacecolor": "none", "zorder": 5}
+            mark["markersize"] = 3 + 2.5 * (len(self.estimators) - 1 - place)
             above.plot(omega[seen], middle[seen], label=estimator, **mark)
             scale = 100.0 / true if of_gains else np.ones_like(true)
             low, middle, high = (((one - true) * scale)[seen] for one in (low, middle, high))
-            below.fill_between(omega[seen], low, high, color=line["color"], alpha=0.25, linewidth=0)
+            band = f"{estimator}, central 90 %"
+            below.fill_between(
+                omega[seen], low, high, color=line["color"], alpha=0.2, label=band, linewidth=0
+            )
+            for edge in (low, high):
+                below.plot(omega[seen], edge, **band_edge(line))
             below.plot(omega[seen], middle, **mark)

@@ -15,7 +15,7 @@ from hident.engine.experiment import Plan, Statistic
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Beside, Verdict, beside
 from hident.reports.base import FigureSpec, Misfit, unscored
-from hident.reports.style import LINES, subplots
+from hident.reports.style import LINES, band_edge, subplots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,7 +57,7 @@ class Curve(FigureSpec):
     log_y: Flag = True
     """Logarithmic ordinate."""
     slopes: tuple[Slope, ...] = ()
-    """Reference lines, each starting at half the height of the first curve."""
+    """Reference lines, each starting at half the height of the lowest curve."""
     panels: tuple[NonEmpty[EstimatorName], ...] = ()
     """Names of estimators for each panel, on common axes; one panel with all by default."""
 
@@ -86,7 +86,7 @@ class Curve(FigureSpec):
             curves = self._curves(results, names)
             for name, curve in curves.items():
                 self._draw_curve(axes, name, curve, next(lines), printed)
-            self._finish(axes, next(iter(curves.values())))
+            self._finish(axes, [*curves.values()])
             entries = axes.get_legend_handles_labels()
             if len(panels) > 1 or len(entries[1]) <= _MOST_ENTRIES:
                 axes.legend()
@@ -128,10 +128,8 @@ class Curve(FigureSpec):
         if self.band:
             low, high = heights("q05"), heights("q95")
             axes.fill_between(x, low, high, color=line["color"], alpha=0.15, linewidth=0)
-            # The edges tell overlapping bands apart without colour.
-            edge: dict[str, Any] = {"linewidth": 0.6, "alpha": 0.6, "marker": ""}
-            axes.plot(x, low, **{**line, **edge})
-            axes.plot(x, high, **{**line, **edge})
+            for edge in (low, high):
+                axes.plot(x, edge, **band_edge(line))
         axes.plot(x, heights(self.statistic), label=name, **line)
         theirs = [printed.get((id(series), self.statistic)) for series in curve]
         if any(theirs):
@@ -149,16 +147,17 @@ class Curve(FigureSpec):
                 label=f"{name}, printed",
             )
 
-    def _finish(self, axes: Axes, first: Sequence[Series]) -> None:
+    def _finish(self, axes: Axes, curves: Sequence[Sequence[Series]]) -> None:
         if self.log_x:
             axes.set_xscale("log")
         if self.log_y:
             axes.set_yscale("log")
-        x = np.array([float(series.unit.labels[self.x]) for series in first])
+        x = np.array([float(series.unit.labels[self.x]) for series in curves[0]])
         if len(x) <= _MOST_TICKS:
             axes.set_xticks(x, [f"{label:g}" for label in x], minor=False)
             axes.set_xticks([], minor=True)
-        start = 0.5 * first[0].statistics[self.statistic] ** (0.5 if self.root else 1.0)
+        lowest = np.fmin.reduce([curve[0].statistics[self.statistic] for curve in curves])
+        start = 0.5 * lowest ** (0.5 if self.root else 1.0)
         for i, reference in enumerate(self.slopes):
             axes.plot(
                 x,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.config.references import TableName
 from hident.config.spec import Flag, Interval, component
 from hident.engine.experiment import Plan
@@ -14,7 +15,7 @@ from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
 from hident.reports.base import FigureSpec, Misfit, not_numeric
 from hident.reports.one_trial.base import true_curve
-from hident.reports.style import LINES, panel_grid
+from hident.reports.style import LINES, Look, panel_grid
 from hident.reports.tables.limits import Limit
 
 if TYPE_CHECKING:
@@ -22,16 +23,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _POINTS = 2001
-
-_UP = 10
-"""Matplotlib's marker of a triangle that stands on its point."""
+# Of the range of the labels, the room beside them.
+_MARGIN = 0.1
+# Inches between the marks of neighbours, and from a mark up to the arrow over it.
+_APART = 0.07
+_ABOVE = 0.11
+_BEYOND: Look = {"color": "black", "linestyle": "none", "marker": r"$\uparrow$", "markersize": 7}
 
 
 @component("figure", "limit", source="Chen, Hwang, Chang 2009, figure 9")
 class LimitFigure(FigureSpec):
     """How far each estimator goes along one axis against the label of another, as a table of kind limit.
 
-    A first panel shows the true characteristic at each label where an interval is given.
+    Estimators stand side by side at each label, under an arrow where no label is too far. A first panel shows
+    the true characteristic at each label where an interval is given.
     """
 
     table: TableName
@@ -66,7 +71,7 @@ class LimitFigure(FigureSpec):
         figure, grid = panel_grid(count, 2, 4.8 if count == 1 else 3.6, 3.0)
         if self.interval is not None:
             self._characteristics(grid[0], results, source, self.interval)
-        self._limits(grid[-1], results, source)
+        self._limits(figure, grid[-1], results, source)
         return figure
 
     def _characteristics(
@@ -83,24 +88,39 @@ class LimitFigure(FigureSpec):
         axes.set_ylabel(self.characteristic_labels[1])
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
 
-    def _limits(self, axes: Axes, results: Results, source: Limit) -> None:
-        beyond: list[tuple[float, float]] = []
+    def _ends(self, ticks: Sequence[float]) -> Array:
+        """The ends of the abscissa, with room beside the first and the last of the increasing ticks."""
+        ends = np.array([ticks[0], ticks[-1]])
+        ends = np.log10(ends) if self.log_x else ends
+        ends += np.array([-1.0, 1.0]) * (_MARGIN * (ends[1] - ends[0]) or 0.5)
+        return np.asarray(10.0**ends if self.log_x else ends)
+
+    def _limits(self, figure: Figure, axes: Axes, results: Results, source: Limit) -> None:
+        from matplotlib.transforms import ScaledTranslation
+
         highest = 0.0
+        inches = figure.dpi_scale_trans
+        beyond = []
         for i, estimator in enumerate(source.estimators):
             reaches, line = source.reaches(results, estimator), LINES[i % len(LINES)]
             heights = [reach.limit for reach in reaches]
             somewhere = np.any(np.isfinite(heights))
             label = estimator if somewhere else f"{estimator}, nowhere"
-            axes.plot([reach.x for reach in reaches], heights, label=label, **line)
-            beyond += [(reach.x, reach.limit) for reach in reaches if reach.open]
+            # Side by side, so that estimators that go equally far are all seen.
+            aside = _APART * (i - 0.5 * (len(source.estimators) - 1))
+            moved = axes.transData + ScaledTranslation(aside, 0.0, inches)
+            axes.plot([reach.x for reach in reaches], heights, label=label, transform=moved, **line)
+            beyond += [(reach, moved) for reach in reaches if reach.open]
             highest = float(np.nanmax([highest, *heights]))
-        if beyond:
-            x, y = zip(*beyond, strict=True)
-            axes.plot(x, y, color="black", linestyle="none", marker=_UP, markersize=9, label="goes beyond")
+        for place, (reach, moved) in enumerate(beyond):
+            above = moved + ScaledTranslation(0.0, _ABOVE, inches)
+            label = "_" if place else "goes beyond"
+            axes.plot(reach.x, reach.limit, label=label, transform=above, **_BEYOND)
         if self.log_x:
             axes.set_xscale("log")
         axes.set_ylim(0.0, 1.15 * highest if highest > 0.0 else 1.0)
         ticks = sorted(map(float, results.labels(source.x)))
+        axes.set_xlim(*self._ends(ticks))
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.set_xticks([], minor=True)
         axes.set_xlabel(self.x_label)

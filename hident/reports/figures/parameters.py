@@ -14,7 +14,7 @@ from hident.engine.experiment import Plan
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict, beside
 from hident.reports.base import FigureSpec, Misfit
-from hident.reports.style import LINES, TRUTH, subplots, symbol
+from hident.reports.style import LINES, TRUE_LEVEL, legend_above, subplots, symbol
 from hident.reports.tables.parameters import Efficiency, ratios
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ class ParameterFigure(FigureSpec):
             unit = next(results.select(self.estimators[0], f"{self.metric} {name}")).unit
             truth = unit.data.system.truth()
             if name in truth.values:
-                axes.axhline(truth.values[name], label="truth", **{**TRUTH, "linewidth": 1.0, "zorder": 0})
+                axes.axhline(truth.values[name], label="truth", **TRUE_LEVEL)
             axes.set_title(symbol(name))
             axes.set_xticks([])
             axes.set_xlim(-0.6, len(self.estimators) - 0.1)
@@ -106,7 +106,7 @@ class Gain(FigureSpec):
         axes.set_xticks(x, [symbol(value) for value in self.of])
         axes.set_ylabel(self.y_label)
         axes.set_ylim(bottom=0.0)
-        axes.legend(loc="lower left")
+        legend_above(figure)
         return figure
 
 

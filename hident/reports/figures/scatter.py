@@ -13,8 +13,10 @@ from hident.config.references import CaseLabels, EstimatorName, MetricLabel
 from hident.config.spec import Count, Flag, NonEmpty, Spec, component
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside_trials
+from hident.metrics.base import MetricSpec
+from hident.metrics.values import Value
 from hident.reports.base import FigureSpec
-from hident.reports.style import LINES, legend_above, panel_grid
+from hident.reports.style import LINES, TRUE_LEVEL, legend_above, panel_grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,6 +53,12 @@ class Coordinate(Spec):
         """The trials that it shows."""
         return next(results.select(self.estimator, self.metric, self.at))
 
+    def truth(self, results: Results) -> float | None:
+        """The true number behind it; None if the metric gives no value of the system."""
+        unit = self.series(results).unit
+        of = {label: value for name, metric in unit.metrics.items() for label, value in _values(name, metric)}
+        return unit.data.system.truth().values.get(of.get(self.metric, ""))
+
 
 class ScatterPanel(Spec):
     """Two metrics over the same trials."""
@@ -65,9 +73,10 @@ class ScatterPanel(Spec):
 
 @component("figure", "scatter")
 class Scatter(FigureSpec):
-    """One metric against another, a point for each trial, and the pair that is printed.
+    """One metric against another, a point for each trial, with the true pair and the printed one.
 
-    The title gives Spearman's coefficient of rank correlation.
+    Lines stand at true numbers where the metrics give values of the system. The title gives Spearman's
+    coefficient of rank correlation.
     """
 
     panels: NonEmpty[ScatterPanel]
@@ -86,6 +95,9 @@ class Scatter(FigureSpec):
             if all(id(series) in printed for series in pair):
                 x, y = (printed[id(series)] for series in pair)
                 axes.plot(x, y, label="printed", **_PRINTED)
+            for one, draw_line in ((panel.x, axes.axvline), (panel.y, axes.axhline)):
+                if (true := one.truth(results)) is not None:
+                    draw_line(true, label="true", **TRUE_LEVEL)
             correlation = f"rank correlation {rank_correlation(*(s.values for s in pair)):.2f}"
             axes.set_title(f"{panel.title}, {correlation}" if panel.title else correlation)
             axes.set_xlabel(panel.x.text)
@@ -95,6 +107,11 @@ class Scatter(FigureSpec):
                 axes.set_yscale("log")
         legend_above(figure)
         return figure
+
+
+def _values(name: str, metric: MetricSpec) -> list[tuple[str, str]]:
+    """The labels of a metric that gives values themselves, with the names of the values."""
+    return list(zip(metric.labels(name), metric.of, strict=True)) if isinstance(metric, Value) else []
 
 
 def draw_pairs(axes: Axes, x: Array, y: Array) -> None:

@@ -19,7 +19,7 @@ from hident.ledger.verdicts import Verdict
 from hident.metrics.base import MetricSpec
 from hident.records import Estimate, needed
 from hident.reports.one_trial.base import OneTrialFigure, Shown, list_failures
-from hident.reports.style import TRUTH, legend_above, looks, panel_grid, symbol
+from hident.reports.style import TRUE_LEVEL, legend_above, looks, panel_grid, symbol
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -81,7 +81,7 @@ class Convergence(OneTrialFigure):
         truth = trial.of(self.curves[0].estimator, self.curves[0].at).truth
         for name, axes in zip(names, grid, strict=True):
             if name in self.of and name in truth.values:
-                axes.axhline(truth.values[name], label="true", **{**TRUTH, "linewidth": 1.0, "zorder": 0})
+                axes.axhline(truth.values[name], label="true", **TRUE_LEVEL)
             if self.log_y:
                 axes.set_yscale("log")
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))

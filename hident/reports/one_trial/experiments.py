@@ -19,7 +19,7 @@ from hident.ledger.verdicts import Verdict
 from hident.records import Record, needed
 from hident.reports.base import Misfit
 from hident.reports.one_trial.base import OneTrialFigure, Shown, list_failures, say_failed
-from hident.reports.style import DATA, LINES, TRUTH, subplots
+from hident.reports.style import DATA, LINES, TRUE_LEVEL, TRUTH, subplots
 from hident.systems.continuous_wiener_hammerstein import respond
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ class LevelMeans(OneTrialFigure):
                 dense = np.linspace(np.min(x), np.max(x), _DENSE)
                 above.plot(dense, true(dense), label="true", **TRUTH)
         list_failures(above, failures)
-        below.axhline(0.0, **{**TRUTH, "zorder": 0})
+        below.axhline(0.0, **TRUE_LEVEL)
         above.set_ylabel(self.y_label)
         below.set_ylabel("estimate - truth\n(bars: ± 2 std. errors)")
         below.set_xlabel(self.x_label)

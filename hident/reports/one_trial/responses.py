@@ -70,6 +70,8 @@ class Validation(OneTrialFigure):
     """Label of the abscissa, with the unit of time."""
     u_label: str
     """Label of the input, with its unit."""
+    u_title: str = ""
+    """Title of the panel of the input."""
     y_label: str
     """Label of the output, with its unit."""
 
@@ -103,6 +105,7 @@ class Validation(OneTrialFigure):
         axes = grid[0, 0]
         axes.plot(t, u + offset_of(realised.truth, self.x_offset), drawstyle="steps-post", **TRUTH)
         axes.set_ylabel(self.u_label)
+        axes.set_title(self.u_title)
         for panel, axes in zip(self.panels, grid[1:, 0], strict=True):
             self._panel(axes, panel, trial, lines)
         grid[-1, 0].set_xlabel(self.t_label)

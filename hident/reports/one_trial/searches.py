@@ -16,13 +16,23 @@ from hident.engine.results import Results
 from hident.estimators.moving_horizon.searches import PartitionSearch, StructureSearch
 from hident.ledger.verdicts import Verdict
 from hident.reports.one_trial.base import NOTE, OneTrialFigure, Shown, say_failed
-from hident.reports.style import LINES, legend_above, panel_grid
+from hident.reports.style import LINES, Look, legend_above, panel_grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _WORST = 10.0
+# Shares of a panel's width and height that a contour's number reaches.
+_EDGE = 0.06
+_RING: Look = {
+    "color": "black",
+    "marker": "o",
+    "markersize": 10,
+    "markerfacecolor": "none",
+    "linestyle": "none",
+    "zorder": 6,
+}
 # Fewer pairs than this that were not rejected are shown by numbers, since contours need neighbours.
 _FEWEST = 16
 # Between two contour lines lie these shares of the searched pairs, so that any valley shows.
@@ -45,8 +55,9 @@ class Search(OneTrialFigure):
     """The structure searches and partition searches of one trial, one panel each.
 
     A structure panel shows the error of every candidate against n, one line for each m (of several delays
-    the best), and an arrow at the chosen one. A partition panel shows contours of the criterion relative to
-    its least value on the grid, and a cross at the best pair after the refinements.
+    the best), and a ring around the chosen one. A partition panel shows contours of the criterion relative
+    to its least value on the grid, and a cross at the best pair after the refinements. What is chosen stands
+    in numbers under the title, where it covers nothing.
     """
 
     panels: NonEmpty[SearchPanel]
@@ -58,25 +69,27 @@ class Search(OneTrialFigure):
         trial = OneTrial(results.plan, self.trial)
         figure, grid = panel_grid(len(self.panels), self.columns, 3.3, 2.7)
         for panel, axes in zip(self.panels, grid, strict=True):
-            axes.set_title(panel.text)
             realised = trial.of(panel.estimator, panel.at)
             if realised.found is None:
+                axes.set_title(panel.text)
                 axes.set_axis_off()
                 say_failed(axes, f"failed: {realised.failure}")
             elif panel.show == "structure":
-                draw_structure(axes, realised.detail("structure"))
+                chosen = draw_structure(axes, realised.detail("structure"))
+                axes.set_title(f"{panel.text}\n{chosen}")
                 axes.set_xlabel(panel.x_label or "n")
                 axes.set_ylabel(panel.y_label or "output error / std of output")
             else:
-                draw_partition(axes, realised.detail("partition"))
+                best = draw_partition(axes, realised.detail("partition"))
+                axes.set_title(f"{panel.text}\n{best}")
                 axes.set_xlabel(panel.x_label or "lower partition point")
                 axes.set_ylabel(panel.y_label or "upper partition point")
         legend_above(figure)
         return figure
 
 
-def draw_structure(axes: Axes, search: StructureSearch) -> None:
-    """The error against n, one line for each m, and an arrow at the chosen structure."""
+def draw_structure(axes: Axes, search: StructureSearch) -> str:
+    """The error against n, one line for each m, and a ring around the chosen structure; returns its words."""
     from matplotlib.ticker import LogLocator, NullLocator
 
     orders = np.unique(search.n)
@@ -90,33 +103,19 @@ def draw_structure(axes: Axes, search: StructureSearch) -> None:
     axes.yaxis.set_minor_locator(NullLocator())
     low, high = axes.get_ylim()
     # A candidate that is far worse than no model at all would flatten the others.
-    high = max(min(high, _WORST), 2.0 * low)
-    # Room for the words above the curves, which fall with n.
-    axes.set_ylim(low, high * (high / low) ** 0.25)
+    axes.set_ylim(low, max(min(high, _WORST), 2.0 * low))
     axes.set_xticks(orders)
     n, m, delay = search.n[search.chosen], search.m[search.chosen], search.delay[search.chosen]
     several = f", d = {delay:g}" if len(np.unique(search.delay)) > 1 else ""
-    chosen = (float(n), float(search.error[search.chosen]))
-    _point_out(axes, f"chosen: n = {n}, m = {m}{several}", chosen, right=True, top=True)
+    axes.plot(n, search.error[search.chosen], label="chosen", **_RING)
+    return f"chosen: n = {n}, m = {m}{several}"
 
 
-def _point_out(axes: Axes, text: str, at: tuple[float, float], *, right: bool, top: bool) -> None:
-    """Words in a corner of the panel, with an arrow from there to a point."""
-    axes.annotate(
-        text,
-        at,
-        (0.97 if right else 0.03, 0.96 if top else 0.04),
-        textcoords="axes fraction",
-        ha="right" if right else "left",
-        va="top" if top else "bottom",
-        arrowprops={"arrowstyle": "-|>", "color": "black", "linewidth": 0.8, "shrinkB": 4},
-        bbox=NOTE,
-        zorder=6,
-    )
+def draw_partition(axes: Axes, search: PartitionSearch) -> str:
+    """The criterion over the pairs of partition points, by contours or numbers, and a cross at the best.
 
-
-def draw_partition(axes: Axes, search: PartitionSearch) -> None:
-    """The criterion over the pairs of partition points, by contours or numbers, and a cross at the best."""
+    Returns the best pair in words.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.ma.masked_invalid(search.loss.T / np.nanmin(search.loss))
     if ratio.count() < _FEWEST:
@@ -144,12 +143,8 @@ def draw_partition(axes: Axes, search: PartitionSearch) -> None:
         "zorder": 6,
     }
     axes.plot(lower, upper, linestyle="none", label=label, **look)
-    # In the corner that is farthest from the best pair.
-    right, top = (
-        p < 0.5 * sum(shown) for p, shown in zip(search.best, (axes.get_xlim(), axes.get_ylim()), strict=True)
-    )
-    _point_out(axes, f"({lower:.3g}, {upper:.3g})", search.best, right=right, top=top)
     axes.grid(visible=False)
+    return f"best: ({lower:.3g}, {upper:.3g})"
 
 
 def _draw_contours(axes: Axes, search: PartitionSearch, ratio: np.ma.MaskedArray[Any, Any]) -> None:
@@ -163,7 +158,10 @@ def _draw_contours(axes: Axes, search: PartitionSearch, ratio: np.ma.MaskedArray
         lines = axes.contour(
             search.lower, search.upper, ratio, levels[1:], colors="black", linewidths=0.5, linestyles="-"
         )
-        axes.clabel(lines, fmt="%g", fontsize=6.5, inline_spacing=2)
+        for text in axes.clabel(lines, fmt="%g", fontsize=6.5, inline_spacing=2):
+            across, up = axes.transAxes.inverted().transform(axes.transData.transform(text.get_position()))
+            # The edge of the panel would cut it.
+            text.set_visible(min(across, up, 1.0 - across, 1.0 - up) > _EDGE)
 
 
 def _draw_numbers(axes: Axes, search: PartitionSearch, ratio: np.ma.MaskedArray[Any, Any]) -> None:

@@ -129,10 +129,7 @@ class Distribution(TableSpec):
             rows.append((row.label, *(self._ours(own.get(heading)) for heading in self.columns)))
             if any(cell.verdict for cell in own.values()):
                 rows.append(("printed", *(_printed(own.get(heading)) for heading in self.columns)))
-            if failures := max(int(cell.series.statistics["failed"]) for cell in own.values()):
-                failed.append(
-                    f"{row.label}: {failures} of {results.plan.trials} trials failed and are left out."
-                )
+            failed += [f"{row.label}: {said}" for said in _failures([*own.values()])]
         explained = (_OURS, _PERCENTILE, *legend(verdicts)) if verdicts else (_OURS,)
         header = (self.row_header, *self.columns)
         return Table(self.title, header, tuple(rows), (*explained, *failed), _data(results, cells))
@@ -155,6 +152,17 @@ def _printed(cell: _Cell | None) -> str:
     if cell is None or cell.verdict is None:
         return ""
     return f"{judged(cell.verdict)} p{cell.percentile:.0f}"
+
+
+def _failures(cells: Sequence[_Cell]) -> Iterator[str]:
+    """How many trials failed in the cells of a row, and in which columns if not in all alike."""
+    counts: dict[int, list[str]] = {}
+    for cell in cells:
+        counts.setdefault(int(cell.series.statistics["failed"]), []).append(cell.heading)
+    for failed, headings in counts.items():
+        where, there = (f" in {one_of(headings)}", " there") if len(counts) > 1 else ("", "")
+        if failed:
+            yield f"{failed} of {len(cells[0].series.values)} trials failed{where} and are left out{there}."
 
 
 def _data(results: Results, cells: Sequence[_Cell]) -> pd.DataFrame:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
+from hident.config.suggest import one_of
 from hident.engine.results import Series
 from hident.ledger.verdicts import Verdict
 
@@ -41,17 +43,24 @@ def legend(verdicts: Iterable[Verdict]) -> list[str]:
 
 
 def failures(series: Iterable[Series]) -> Iterator[str]:
-    """What failed and why, for the notes of a table; once for all metrics of a unit that failed alike."""
-    seen = set()
+    """What failed and why, for the notes of a table; once for all metrics of a unit that failed alike.
+
+    Where not only the estimate failed, the metrics are named: the others of the unit are there.
+    """
+    alike: dict[tuple[Any, ...], list[Series]] = {}
     for one in series:
-        failed, total = one.statistics["failed"], one.statistics["trials"]
-        alike = (id(one.unit), failed, one.reasons)
-        if failed and alike not in seen:
-            seen.add(alike)
-            yield (
-                f"{failed:.0f} of {total:.0f} trials of {one.unit.described()} failed{_why(one.reasons)} "
-                "and are left out of the statistics."
-            )
+        if one.statistics["failed"]:
+            own = f"{one.metric}: "
+            why = _why([(text.removeprefix(own), count) for text, count in one.reasons])
+            of_metric = any(text.startswith(own) for text, _ in one.reasons)
+            key = id(one.unit), one.statistics["failed"], why, of_metric
+            alike.setdefault(key, []).append(one)
+    for (_, failed, why, of_metric), found in alike.items():
+        metrics = f" for {one_of(dict.fromkeys(one.metric for one in found))}" if of_metric else ""
+        yield (
+            f"{failed:.0f} of {found[0].statistics['trials']:.0f} trials of {found[0].unit.described()} "
+            f"failed{metrics}{why} and are left out of {'its' if metrics else 'the'} statistics."
+        )
 
 
 def _why(reasons: Sequence[tuple[str, int]]) -> str:
