@@ -8,11 +8,10 @@ Wherever a component is wanted, an object or its written form will do: ``hident.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
 from functools import cache
-from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -24,10 +23,11 @@ from hident import arithmetic, plugins
 from hident.commands.plans import file_of, load_plans
 from hident.config.load import Document, problems_of, read_leniently
 from hident.config.schema import json_schema
-from hident.config.spec import PLURALS, Component, Family, Of, canonical, components, plain
+from hident.config.spec import PLURALS, Of, canonical, components, plain
 from hident.config.suggest import one_of
 from hident.config.yaml12 import Place
 from hident.engine import runner
+from hident.engine.cases import DATA
 from hident.engine.cores import usable_cores
 from hident.engine.executors import make_executor
 from hident.engine.expansion import not_given, unfit
@@ -74,11 +74,11 @@ def _as_in_a_run() -> Iterator[None]:
         yield
 
 
-def _made(family: Family, written: Component | Written, name: str) -> Any:
-    """The component that is meant."""
+def _made(validate: Callable[[Any], Any], written: Any, name: str) -> Any:
+    """What is meant, by a validator of Pydantic's; ``name`` is what a message begins with."""
     _load_components()
     try:
-        return Of(family).validate(plain(written))
+        return validate(plain(written))
     except ValidationError as error:
         raise Document(name, {}).error(problems_of(error)) from None
 
@@ -128,7 +128,6 @@ def simulate(
     >>> record.y.shape, record.truth.linear
     ((500,), TransferFunction(b=(1.0,), a=(0.5,)))
     """
-    _load_components()
     fields = {
         "samples": samples,
         "dt": dt,
@@ -137,13 +136,9 @@ def simulate(
         "noise": noise,
         "streams": streams,
     }
-    document = Document("simulate", plain(fields))
-    try:
-        data = Data.model_validate(document.data)
-    except ValidationError as error:
-        raise document.error(problems_of(error)) from None
+    data = _made(Data.model_validate, fields, "simulate")
     if problems := list(unfit(data)):
-        raise document.error(problems)
+        raise Document("simulate", {}).error(problems)
     with _as_in_a_run():
         return generate(data, seed, trial)
 
@@ -186,7 +181,7 @@ def fit(estimator: EstimatorSpec | Written, record: Record, *, seed: int = 1, tr
         ...
     hident.errors.ConfigError: estimator 'kernel' needs at least 1 samples, and the record has 0
     """
-    spec: EstimatorSpec = _made("estimator", estimator, "estimator")
+    spec: EstimatorSpec = _made(Of("estimator").validate, estimator, "estimator")
     named, fewest = f"estimator '{spec.kind}'", spec.fewest_samples()
     if len(record) < fewest:
         raise ConfigError(f"{named} needs at least {fewest} samples, and the record has {len(record)}")
@@ -236,7 +231,7 @@ def score(estimate: Estimate, record: Record, **metrics: MetricSpec | Written) -
     """
     scores: dict[str, float] = {}
     for name, written in metrics.items():
-        metric: MetricSpec = _made("metric", written, name)
+        metric: MetricSpec = _made(Of("metric").validate, written, name)
         named = f"{name}: the metric '{metric.kind}'"
         _require(named, "truth", metric.needs_of_truth(), _truth(record))
         _require(named, "estimate", metric.needs_of_estimate(), estimate.provides())
@@ -297,7 +292,6 @@ def validate(
     experiment: estimators: is required: The estimators by the name that tables show
     experiment: metrics: is required: The metrics by the name that tables show
     """
-    _load_components()
     if isinstance(experiment, str | Path):
         document = read_leniently(file_of(Path(experiment)))
     else:
@@ -305,7 +299,7 @@ def validate(
     for key, value in {**overrides, "trials": trials, "seed": seed}.items():
         if value is not None or key in overrides:
             document = document.patched(key, plain(canonical(value)), Place(0, f"{key}={value!r}"))
-    [plan] = load_plans([document], (), {}, ())
+    [plan] = load_plans([document])
     return plan
 
 
@@ -392,15 +386,12 @@ def run(
 
 def _require_source(plan: Plan) -> None:
     """Refuse components whose code neither a store nor a worker process can find."""
-    specs = (
-        (u.data.system, u.data.excitation, *u.data.noise, u.estimator, *u.metrics.values())
-        for u in plan.units
-    )
-    for spec in without_source(chain.from_iterable(specs)):
-        raise ConfigError(
-            f"{type(spec).__name__} was defined at a prompt or in a notebook, where a store or a worker "
-            "process cannot find its code: import it from a file, or leave out 'store' and 'executor'"
-        )
+    for unit in plan.units:
+        for spec in without_source((unit.data, unit.estimator, *unit.metrics.values())):
+            raise ConfigError(
+                f"{type(spec).__name__} was defined at a prompt or in a notebook, where a store or a worker "
+                "process cannot find its code: import it from a file, or leave out 'store' and 'executor'"
+            )
 
 
 def write(results: Results, folder: str | Path) -> tuple[str, ...]:
@@ -472,7 +463,7 @@ def schema() -> dict[str, Any]:
     ['version', 'title', 'trials', 'estimators', 'metrics']
     """
     _load_components()
-    return json_schema(Experiment)
+    return json_schema(Experiment, DATA)
 
 
 def list_components() -> pd.DataFrame:

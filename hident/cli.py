@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -15,6 +16,9 @@ import hident
 from hident import arithmetic, console
 from hident.config.suggest import did_you_mean, one_of
 from hident.errors import Exit, HidentError
+
+if TYPE_CHECKING:
+    from hident.engine.experiment import Plan
 
 
 class _Unforeseen(Exception):
@@ -63,21 +67,11 @@ Wait = Annotated[float, typer.Option(min=0, help="Seconds to wait while another 
 _STORE, _OUT, _RESULTS = Path(".hident"), Path("out"), Path("results")
 
 
-class Listed(StrEnum):
-    """What ``hident list`` can list."""
-
-    estimators = "estimators"
-    systems = "systems"
-    linears = "linears"
-    nonlinearities = "nonlinearities"
-    excitations = "excitations"
-    noises = "noises"
-    streams = "streams"
-    metrics = "metrics"
-    bases = "bases"
-    tables = "tables"
-    figures = "figures"
-    configs = "configs"
+Listed = StrEnum(
+    "Listed",
+    "estimators systems linears nonlinearities excitations noises streams metrics bases tables figures "
+    "configs",
+)
 
 
 def main() -> None:
@@ -127,8 +121,16 @@ def _report(error: BaseException) -> None:
     print(f"error: unforeseen, a fault of hident: {said}; {where}", file=sys.stderr)
 
 
-def _options(trials: int | None, seed: int | None) -> dict[str, int | None]:
-    return {"trials": trials, "seed": seed}
+def _plans(
+    configs: Iterable[Path],
+    assignments: list[str] | None,
+    trials: int | None,
+    seed: int | None,
+    plugin: list[Path] | None,
+) -> list[Plan]:
+    from hident.commands.plans import load_plans
+
+    return load_plans(configs, assignments, {"trials": trials, "seed": seed}, plugin or ())
 
 
 def _print_version(wanted: bool) -> None:
@@ -188,9 +190,9 @@ def validate(
 
     All errors of all files are shown at once.
     """
-    from hident.commands.plans import described, load_plans
+    from hident.commands.plans import described
 
-    for plan in load_plans(configs, assignments, _options(trials, seed), plugin or ()):
+    for plan in _plans(configs, assignments, trials, seed, plugin):
         print(described(plan))
 
 
@@ -212,12 +214,12 @@ def run(
 
     Only trials that are not stored yet are computed.
     """
-    from hident.commands.plans import load_plans
-    from hident.commands.running import Place, run_plans
+    from hident.commands.running import bench
 
-    plans = load_plans(configs, assignments, _options(trials, seed), plugin or ())
-    place = Place(out, store, wait)
-    raise typer.Exit(run_plans(plans, place, jobs, plugin or (), keep_going=keep_going, quiet=quiet))
+    plans = _plans(configs, assignments, trials, seed, plugin)
+    with bench(plans, out, store, wait, jobs, plugin or (), quiet) as place:
+        code = place.run(keep_going=keep_going)
+    raise typer.Exit(code)
 
 
 @app.command()
@@ -233,12 +235,10 @@ def status(
     plugin: Plugins = None,
 ) -> None:
     """Show how many trials are stored, and the state of outputs."""
-    from hident.commands.plans import all_configs, load_plans
+    from hident.commands.plans import all_configs
     from hident.commands.showing import print_status
 
-    chosen = configs or all_configs()
-    plans = load_plans(chosen, assignments, _options(trials, seed), plugin or ())
-    print_status(plans, out, store)
+    print_status(_plans(configs or all_configs(), assignments, trials, seed, plugin), out, store)
 
 
 @app.command()
@@ -262,8 +262,7 @@ def compare(
     """
     from hident.commands.showing import print_comparison
 
-    code = print_comparison(ours, reference, rtol, complete=complete, common=partial)
-    raise typer.Exit(code)
+    raise typer.Exit(print_comparison(ours, reference, rtol, complete=complete, partial=partial))
 
 
 @app.command()
@@ -287,21 +286,12 @@ def accept(
 
     Measures how many of the trials a last bit moves, for compare. Nothing else changes results/.
     """
-    from hident.commands.plans import load_plans
-    from hident.commands.running import Place, accept_plans, check_finished
+    from hident.commands.running import bench, check_finished
 
     check_finished(configs, out)
-    plans = load_plans(map(Path, configs), assignments, _options(trials, seed), plugin or ())
-    code = accept_plans(
-        plans,
-        Place(out, store, wait),
-        results,
-        jobs,
-        plugin or (),
-        perturbations=perturbations,
-        quiet=quiet,
-    )
-    raise typer.Exit(code)
+    plans = _plans(map(Path, configs), assignments, trials, seed, plugin)
+    with bench(plans, out, store, wait, jobs, plugin or (), quiet) as place:
+        place.accept(results, perturbations)
 
 
 @app.command()
@@ -344,10 +334,9 @@ def export(
 
     One row for each trial and metric.
     """
-    from hident.commands.plans import load_plans
     from hident.commands.showing import export
 
-    plan = load_plans([config], assignments, _options(trials, seed), plugin or ())[0]
+    [plan] = _plans([config], assignments, trials, seed, plugin)
     print(export(plan, store, file))
 
 

@@ -64,7 +64,7 @@ def print_component(family: str, kind: str, plugin_files: Iterable[Path]) -> Non
 
 def print_config(config: Path, plugin_files: Iterable[Path]) -> None:
     """A configuration's title, path, cases and estimators."""
-    [plan] = load_plans([config], (), {}, plugin_files)
+    [plan] = load_plans([config], plugin_files=plugin_files)
     print(f"{plan.name}: {plan.experiment.title}")
     print(described(plan))
     cases = [(axis.name, one_of(map(str, axis.labels))) for axis in plan.axes]

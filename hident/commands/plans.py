@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 from hident import plugins
 from hident.config.load import Document
@@ -22,9 +23,9 @@ def all_configs() -> list[Path]:
 
 def load_plans(
     configs: Iterable[Path | Document],
-    assignments: Sequence[str] | None,
-    options: Mapping[str, int | None],
-    plugin_files: Iterable[Path],
+    assignments: Sequence[str] | None = None,
+    options: Mapping[str, int | None] = MappingProxyType({}),
+    plugin_files: Iterable[Path] = (),
 ) -> list[Plan]:
     """All plans, or one error that holds what is wrong with all files."""
     from hident.ledger.published import check_published

@@ -5,19 +5,24 @@ from __future__ import annotations
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hident import arithmetic
+from hident.engine.cores import usable_cores
+from hident.engine.executors import end, make_executor
 from hident.engine.experiment import Plan
+from hident.engine.preflight import check_records
 from hident.engine.run_files import PAGE
-from hident.engine.runner import CrashReport, Progress, run
-from hident.engine.store import Store
+from hident.engine.runner import CrashReport, run
+from hident.engine.store import Store, TrialStore
 from hident.errors import ConfigError, Exit, NothingToCompare
+from hident.progress import chosen
 from hident.run_folder import RunFolder
 
 if TYPE_CHECKING:
@@ -27,102 +32,30 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where outputs and trials are kept, and how many seconds to wait for another run."""
+class Bench:
+    """Where plans are run one after the other: the folders of outputs and of trials, and workers."""
 
+    plans: Sequence[Plan]
     out: Path
     store: Path
-    wait: float = 0.0
-
-    def folder(self, plan: Plan) -> Path:
-        """The folder of a plan's outputs."""
-        return self.out / plan.name
-
-
-@dataclass(frozen=True)
-class _Bench:
-    """A place with workers, for runs one after the other."""
-
-    place: Place
+    wait: float
+    """How many seconds to wait for another run."""
     executor: Executor
     workers: int
     quiet: bool
 
-    def run(self, plan: Plan, *, keep_going: bool) -> tuple[str, ...]:
-        """Run a plan, if its outputs are not there; a message for each figure that cannot be drawn."""
-        from hident.engine.preflight import check_records
-        from hident.reports.output import Outputs
-
-        outputs = Outputs(plan, self.place.folder(plan))
-        note = f"{plan.name}: {outputs.folder} is up to date"
-        undrawn: tuple[str, ...] = ()
-        if outputs.state() != "up to date":
-            with Store(self.place.store).writing(self.place.wait) as writer:
-                # Asked again, as another run may have held the store until now.
-                if outputs.state() != "up to date":
-                    start = time.perf_counter()
-                    check_records(plan)
-                    results = run(
-                        plan,
-                        store=writer,
-                        executor=self.executor,
-                        workers=self.workers,
-                        keep_going=keep_going,
-                        progress=self._progress(plan.name),
-                    )
-                    wall = round(time.perf_counter() - start, 3)
-                    undrawn = outputs.write(results, {"workers": self.workers, "wall_seconds": wall})
-                    note = f"{plan.name}: wrote {outputs.folder}"
-        if not self.quiet:
-            print(note, file=sys.stderr)
-        return undrawn
-
-    def sensitivity(self, plan: Plan, perturbations: int, values: TrialValues) -> Sensitivity:
-        """How many trials of a plan, whose values are given, move when their records are a last bit away."""
-        from hident.ledger.sensitivity import Sensitivity
-        from hident.ledger.trial_values import TrialValues
-
-        repeated = (self._perturbed(plan, k, perturbations) for k in range(1, perturbations + 1))
-        return Sensitivity.measured(values, map(TrialValues.of, repeated))
-
-    def _perturbed(self, plan: Plan, k: int, perturbations: int) -> Results:
-        with Store(self.place.store).writing(self.place.wait) as writer:
-            return run(
-                plan.changed(perturbation=k),
-                store=writer,
-                executor=self.executor,
-                workers=self.workers,
-                progress=self._progress(f"{plan.name}, perturbation {k} of {perturbations}"),
-            )
-
-    def _progress(self, name: str) -> Progress:
-        from hident.progress import chosen
-
-        return chosen(name, quiet=self.quiet)
-
-
-def run_plans(
-    plans: Sequence[Plan],
-    place: Place,
-    jobs: int | None,
-    plugin_files: Iterable[Path],
-    *,
-    keep_going: bool,
-    quiet: bool,
-) -> Exit:
-    """Run plans one after the other on one set of workers; a single one's tables are printed."""
-
-    def work(bench: _Bench) -> Exit:
+    def run(self, *, keep_going: bool) -> Exit:
+        """Run the plans; a single one's tables are printed."""
         code = Exit.FINE
-        for plan in plans:
+        for plan in self.plans:
             try:
-                for undrawn in bench.run(plan, keep_going=keep_going):
+                for undrawn in self._written(plan, keep_going=keep_going):
                     print(f"error: {undrawn}; all other outputs are written", file=sys.stderr)
                     code = max(code, Exit.DIFFERS)
-                if not quiet and len(plans) == 1:
-                    print((place.folder(plan) / PAGE).read_text(encoding="utf-8"))
+                if not self.quiet and len(self.plans) == 1:
+                    print((self.out / plan.name / PAGE).read_text(encoding="utf-8"))
             except CrashReport as crash:
-                kept = RunFolder(place.folder(plan)).keep_tracebacks(crash.tracebacks)
+                kept = RunFolder(self.out / plan.name).keep_tracebacks(crash.tracebacks)
                 where = f"\nTracebacks: {kept}" if kept else f"\n{crash.tracebacks}"
                 print(f"error: {plan.name}: {crash}{where}", file=sys.stderr)
                 code = crash.exit_code
@@ -130,91 +63,97 @@ def run_plans(
                     break
         return code
 
-    return _on_workers(work, place, jobs, _files(plans, plugin_files), quiet=quiet)
+    def accept(self, results: Path, perturbations: int) -> None:
+        """Accept the outputs of the plans, each with how many of its trials a last bit moves."""
+        from hident.ledger.accept import accept
+        from hident.reports.output import Outputs
+
+        for plan in self.plans:
+            outputs = Outputs(plan, self.out / plan.name)
+            if outputs.state() == "old":
+                raise ConfigError(
+                    f"{outputs.folder} is not what {plan.path} gives now: hident run {plan.name}, or repeat "
+                    "here the --set, --trials and --seed of that run"
+                )
+        for plan in self.plans:
+            measure = partial(self._sensitivity, plan, perturbations)
+            print(accept(self.out / plan.name, results, measure, perturbations))
+
+    def _written(self, plan: Plan, *, keep_going: bool) -> tuple[str, ...]:
+        """Run a plan, if its outputs are not there; a message for each figure that cannot be drawn."""
+        from hident.reports.output import Outputs
+
+        outputs = Outputs(plan, self.out / plan.name)
+        note = f"{plan.name}: {outputs.folder} is up to date"
+        undrawn: tuple[str, ...] = ()
+        if outputs.state() != "up to date":
+            with Store(self.store).writing(self.wait) as writer:
+                # Asked again, as another run may have held the store until now.
+                if outputs.state() != "up to date":
+                    start = time.perf_counter()
+                    check_records(plan)
+                    results = self._trials(plan, writer, plan.name, keep_going=keep_going)
+                    wall = round(time.perf_counter() - start, 3)
+                    undrawn = outputs.write(results, {"workers": self.workers, "wall_seconds": wall})
+                    note = f"{plan.name}: wrote {outputs.folder}"
+        if not self.quiet:
+            print(note, file=sys.stderr)
+        return undrawn
+
+    def _sensitivity(self, plan: Plan, perturbations: int, values: TrialValues) -> Sensitivity:
+        """How many trials of a plan, whose values are given, move when their records are a last bit away."""
+        from hident.ledger.sensitivity import Sensitivity
+        from hident.ledger.trial_values import TrialValues
+
+        def repeated(k: int) -> TrialValues:
+            with Store(self.store).writing(self.wait) as writer:
+                name = f"{plan.name}, perturbation {k} of {perturbations}"
+                return TrialValues.of(self._trials(plan.changed(perturbation=k), writer, name))
+
+        return Sensitivity.measured(values, map(repeated, range(1, perturbations + 1)))
+
+    def _trials(self, plan: Plan, store: TrialStore, name: str, *, keep_going: bool = False) -> Results:
+        return run(
+            plan,
+            store=store,
+            executor=self.executor,
+            workers=self.workers,
+            keep_going=keep_going,
+            progress=chosen(name, quiet=self.quiet),
+        )
 
 
-def accept_plans(
+@contextmanager
+def bench(
     plans: Sequence[Plan],
-    place: Place,
-    results: Path,
+    out: Path,
+    store: Path,
+    wait: float,
     jobs: int | None,
     plugin_files: Iterable[Path],
-    *,
-    perturbations: int,
     quiet: bool,
-) -> Exit:
-    """Accept the outputs of plans, each with how many of its trials a last bit moves."""
-    from hident.ledger.accept import accept
-    from hident.reports.output import Outputs
-
-    for plan in plans:
-        outputs = Outputs(plan, place.folder(plan))
-        if outputs.state() == "old":
-            raise ConfigError(
-                f"{outputs.folder} is not what {plan.path} gives now: hident run {plan.name}, or repeat here "
-                "the --set, --trials and --seed of that run"
-            )
-
-    def work(bench: _Bench) -> Exit:
-        for plan in plans:
-            measure = partial(bench.sensitivity, plan, perturbations)
-            print(accept(place.folder(plan), results, measure, perturbations))
-        return Exit.FINE
-
-    return _on_workers(work, place, jobs, _files(plans, plugin_files), quiet=quiet)
-
-
-def _on_workers(
-    work: Callable[[_Bench], Exit],
-    place: Place,
-    jobs: int | None,
-    plugin_files: Iterable[Path],
-    *,
-    quiet: bool,
-) -> Exit:
-    """Do the work on a set of workers, which end with it; Ctrl-C ends both with a message."""
-    from hident.engine.cores import usable_cores
-    from hident.engine.executors import end, make_executor
-
-    warn_of_arithmetic()
+) -> Iterator[Bench]:
+    """A bench with workers, which end with it; Ctrl-C ends both, and the program, with a message."""
+    if said := arithmetic.shortfall(arithmetic.in_use()):
+        print(f"warning: {said}", file=sys.stderr)
     workers = jobs or usable_cores()
-    executor = make_executor(workers, plugin_files)
+    named = [file for plan in plans for file in plan.plugin_files]
+    executor = make_executor(workers, dict.fromkeys([*plugin_files, *named]))
     try:
-        code = work(_Bench(place, executor, workers, quiet))
+        yield Bench(plans, out, store, wait, executor, workers, quiet)
         executor.shutdown()
     except KeyboardInterrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         print(
-            f"interrupted: all stored trials are kept in {place.store}; the same command resumes",
-            file=sys.stderr,
+            f"interrupted: all stored trials are kept in {store}; the same command resumes", file=sys.stderr
         )
-        code = Exit.INTERRUPTED
+        raise SystemExit(Exit.INTERRUPTED) from None
     finally:
         end(executor)
-    return code
-
-
-def _files(plans: Iterable[Plan], plugin_files: Iterable[Path]) -> tuple[Path, ...]:
-    """The plugin files that workers need."""
-    named = [file for plan in plans for file in plan.plugin_files]
-    return tuple(dict.fromkeys([*plugin_files, *named]))
-
-
-def warn_of_arithmetic() -> None:
-    """Say so where the arithmetic in use is not the one that was asked for."""
-    if said := arithmetic.shortfall(arithmetic.in_use()):
-        print(f"warning: {said}", file=sys.stderr)
 
 
 def check_finished(names: Iterable[str], out: Path) -> None:
-    """Check that each configuration has a folder of outputs.
-
-    Raises
-    ------
-    NothingToCompare
-        If one has none.
-    """
-    for name in names:
-        folder = out / Path(name).stem
-        if not RunFolder(folder).finished:
-            raise NothingToCompare(f"{folder} holds no finished run: hident run {Path(name).stem}")
+    """Refuse, before anything is loaded, a configuration without a folder of outputs."""
+    for name in (Path(name).stem for name in names):
+        if not RunFolder(out / name).finished:
+            raise NothingToCompare(f"{out / name} holds no finished run: hident run {name}")

@@ -28,11 +28,11 @@ def print_status(plans: Sequence[Plan], out: Path, folder: Path) -> None:
     print(f"{store.path}: {store.count()} scores in all")
 
 
-def print_comparison(ours: Path, reference: Path, rtol: float, *, complete: bool, common: bool) -> Exit:
+def print_comparison(ours: Path, reference: Path, rtol: float, *, complete: bool, partial: bool) -> Exit:
     """Print every difference between two folders of results, and what differs and may."""
     from hident.ledger.compare import compare
 
-    comparison = compare(ours, reference, rtol=rtol, complete=complete, partial=common)
+    comparison = compare(ours, reference, rtol=rtol, complete=complete, partial=partial)
     if comparison.allowed:
         print("allowed, as the accepted results say how often a last bit decides:")
     for allowed in comparison.allowed:

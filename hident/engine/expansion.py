@@ -43,16 +43,15 @@ class Unit:
     @cached_property
     def _identities(self) -> dict[str, str]:
         """For each metric, a hash of what its numbers depend on besides the seed and the trial."""
-        data, estimator = self.data, canonical(self.estimator)
-        around = (data.system, data.excitation, *data.noise, data.streams, self.estimator)
+        estimator = canonical(self.estimator)
         return {
             name: digest(
                 {
-                    "data": str(data.key),
+                    "data": str(self.data.key),
                     "estimator": estimator,
                     # The names of the estimators that it is for change no number.
                     "metric": {key: v for key, v in canonical(metric).items() if key != "estimators"},
-                    "code": fingerprint((*around, metric)),
+                    "code": fingerprint((self.data, self.estimator, metric)),
                     "libraries": libraries(),
                 }
             )

@@ -12,6 +12,7 @@ from hident.config.spec import component
 from hident.engine.store import MemoryStore, Store
 from hident.errors import ConfigError, TrialsCrashed
 from hident.estimators.base import EstimatorSpec
+from hident.signals.streams import NumpyStreams
 
 # What is in use where the tests run is not the matter here.
 pytestmark = pytest.mark.filterwarnings("ignore:the arithmetic in use")
@@ -227,3 +228,19 @@ def _register():
     from hident.config import spec
 
     return {family: dict(kinds) for family, kinds in spec._REGISTER.items()}
+
+
+def test_the_schema_takes_variables_in_the_place_of_samples_as_that_of_the_command_line_does():
+    assert {"$ref": "#/$defs/variable"} in hi.schema()["properties"]["samples"]["anyOf"]
+
+
+def test_streams_that_are_defined_at_a_prompt_run_here_only(tmp_path, monkeypatch):
+    monkeypatch.setattr("hident.config.spec._REGISTER", {**_register()})
+
+    @component("streams", "at_a_prompt")
+    class Typed(NumpyStreams):
+        """Of no file."""
+
+    Typed.__module__ = "typed_in"
+    with pytest.raises(ConfigError, match="Typed was defined at a prompt or in a notebook"):
+        hi.run({**MADE, "streams": Typed()}, store=tmp_path)
