@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from pydantic import BeforeValidator, ValidationError
 
@@ -75,65 +74,84 @@ def _labels(written: list[Any] | Mapping[str, Any]) -> tuple[Label, ...]:
     )
 
 
+class Patch(NamedTuple):
+    """A value that a label sets: the key path, the value, and where it was written."""
+
+    path: str
+    value: Any
+    place: Place
+
+    @property
+    def root(self) -> tuple[str, ...]:
+        """What it touches: ("data",), ("estimators", name) or ("metrics", name)."""
+        head, *rest = self.path.split(".")
+        return ("data",) if head in DATA else (head, *rest[:1])
+
+    @property
+    def leaves_out(self) -> bool:
+        """Whether it leaves an estimator out of its cases, as ``estimators.NAME: null`` does."""
+        return self.value is None and self.path.count(".") == 1 and self.root[0] == "estimators"
+
+
+@dataclass(frozen=True)
+class Point:
+    """A label of an axis: what it sets, and the values of the axis's variables there."""
+
+    label: Label
+    patches: tuple[Patch, ...]
+    variables: dict[str, Any]
+
+    @cached_property
+    def left_out(self) -> frozenset[str]:
+        """The names of the estimators that it sets to null."""
+        return frozenset(patch.root[1] for patch in self.patches if patch.leaves_out)
+
+    def apply(self, document: Document) -> Document:
+        """The document with what it sets, an estimator that it leaves out as it is."""
+        for patch in self.patches:
+            if not patch.leaves_out:
+                document = document.patched(*patch)
+        return document
+
+
 @dataclass(frozen=True)
 class Axis:
-    """One axis of the cases: its labels, and what each of them changes.
-
-    Behind each label, ``patches`` holds key path -> value, ``places`` where each was written, and
-    ``variables`` name -> value; ``uses`` are the parts of the file that name one of these.
-    """
+    """One axis of the cases; ``uses`` are the parts of the file that name one of its variables."""
 
     name: str
-    labels: tuple[Label, ...]
-    patches: tuple[dict[str, Any], ...]
-    places: tuple[dict[str, Place], ...]
-    variables: tuple[dict[str, Any], ...]
+    points: tuple[Point, ...]
     uses: frozenset[tuple[str, ...]] = frozenset()
 
     @classmethod
     def of(cls, name: str, written: list[Any] | dict[str, Any], document: Document) -> Axis:
         """The axis that a document holds under ``cases``."""
-        labels, values = _labels(written), list(written.values() if isinstance(written, dict) else written)
+        sets = isinstance(written, list) and name.partition(".")[0] in CHANGEABLE
         keys: Iterable[str | int] = written if isinstance(written, dict) else range(len(written))
-        patches: list[dict[str, Any]] = []
-        variables: list[dict[str, Any]] = []
-        for label, value in zip(labels, values, strict=True):
+        values = written.values() if isinstance(written, dict) else written
+        points = []
+        for key, label, value in zip(keys, _labels(written), values, strict=True):
+            variables, patched = {name: value}, {name: value} if sets else {}
             if isinstance(value, Mapping):
-                patches.append({path: item for path, item in value.items() if not path.startswith("$")})
-                named = {path[1:]: item for path, item in value.items() if path.startswith("$")}
-                variables.append({name: label, **named})
-            else:
-                sets = isinstance(written, list) and name.partition(".")[0] in CHANGEABLE
-                patches.append({name: value} if sets else {})
-                variables.append({name: value})
-        places = tuple(
-            {path: document.place(("cases", name, key, path)) for path in patch}
-            for key, patch in zip(keys, patches, strict=True)
-        )
-        return cls(name, labels, tuple(patches), places, tuple(variables))
+                variables = {name: label, **{k[1:]: item for k, item in value.items() if k.startswith("$")}}
+                patched = {k: item for k, item in value.items() if not k.startswith("$")}
+            at = ("cases", name, key)
+            patches = (Patch(path, item, document.place((*at, path))) for path, item in patched.items())
+            points.append(Point(label, tuple(patches), variables))
+        return cls(name, tuple(points))
+
+    @cached_property
+    def labels(self) -> tuple[Label, ...]:
+        return tuple(point.label for point in self.points)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The names of its variables."""
+        return tuple(dict.fromkeys(name for point in self.points for name in point.variables))
 
     @cached_property
     def roots(self) -> frozenset[tuple[str, ...]]:
-        """What the axis touches: ("data",), ("estimators", name) or ("metrics", name)."""
-        return self.uses | frozenset(map(_root, itertools.chain.from_iterable(self.patches)))
-
-    def leaves_out(self, index: int) -> frozenset[str]:
-        """The names of the estimators that a label of the axis sets to null."""
-        patches = self.patches[index].items()
-        return frozenset(_root(path)[1] for path, value in patches if _leaves_out(path, value))
-
-    def apply(self, document: Document, index: int) -> Document:
-        """The document with what a label of the axis sets; an estimator that it leaves out stays as it is.
-
-        Raises
-        ------
-        ConfigError
-            If a key path leads nowhere.
-        """
-        for path, value in self.patches[index].items():
-            if not _leaves_out(path, value):
-                document = document.patched(path, value, self.places[index][path])
-        return document
+        """What the axis touches, as :attr:`Patch.root` says."""
+        return self.uses.union(patch.root for point in self.points for patch in point.patches)
 
 
 @dataclass(frozen=True)
@@ -150,28 +168,13 @@ class Skip:
         )
 
 
-def _root(path: str) -> tuple[str, ...]:
-    head, *rest = path.split(".")
-    return ("data",) if head in DATA else (head, *rest[:1])
-
-
-def _leaves_out(path: str, value: Any) -> bool:
-    """Whether a patch leaves an estimator out of its cases, as ``estimators.NAME: null`` does."""
-    head, *rest = path.split(".")
-    return value is None and head == "estimators" and len(rest) == 1
-
-
 def sound_axes(document: Document, complaints: list[Complaint]) -> tuple[Axis, ...]:
     """The axes that can be applied; what is wrong with the others goes to the complaints.
 
-    Raises
-    ------
-    ConfigError
-        If it is not clear which value a variable has: the rest cannot be judged.
+    That it is not clear which value a variable has is an error: the rest cannot be judged.
     """
-    sound: list[Axis] = []
     cases = document.data.get("cases", {})
-    at_first, every = document, True
+    every = True
     try:
         written = Cases.model_validate({"cases": cases}).cases
     except ValidationError as error:
@@ -181,20 +184,21 @@ def sound_axes(document: Document, complaints: list[Complaint]) -> tuple[Axis, .
         every = False
         written = {} if () in unsound else {n: axis for n, axis in cases.items() if (n,) not in unsound}
     axes = [Axis.of(name, axis, document) for name, axis in written.items()]
-    variables = _Variables(document, axes)
+    uses = list(_uses(document, axes))
+    axes = [replace(a, uses=frozenset(use.root for use in uses if use.variable in a.names)) for a in axes]
+    used = {use.variable for use in uses}
+    sound: list[Axis] = []
+    at_first = document
     for axis in axes:
-        problems = [Problem(("cases", axis.name), message) for message in _unsound(axis, document.data)]
-        if not problems:
-            problems = list(variables.idle(axis))
-        found = document.complaints_of(problems) or _misplaced(axis, at_first)
-        if found:
+        messages = list(_unsound(axis, document.data)) or list(_idle(axis, cases[axis.name], used))
+        found = document.complaints_of(Problem(("cases", axis.name), message) for message in messages)
+        if found := found or _misplaced(axis, at_first):
             complaints += found
         else:
-            sound.append(replace(axis, uses=variables.uses(axis)))
-            at_first = axis.apply(at_first, 0)
-    unclear = document.complaints_of(variables.unclear(unknown_too=every))
-    known = {axis.name for axis in sound}
-    if unclear or any(variables.uses(axis) for axis in axes if axis.name not in known):
+            sound.append(axis)
+            at_first = axis.points[0].apply(at_first)
+    unclear = document.complaints_of(_unclear(axes, uses, unknown_too=every))
+    if unclear or any(axis.uses for axis in axes if axis not in sound):
         raise error_of([*document.complaints, *complaints, *unclear])
     return tuple(sound)
 
@@ -205,109 +209,98 @@ def written_axes(document: Document) -> tuple[str, ...]:
     return tuple(cases) if isinstance(cases, Mapping) else ()
 
 
-class _Variables:
-    """Where a file and what its axes set name variables."""
+class _Use(NamedTuple):
+    """A variable in a text: where the text stands, and which part of the file it belongs to."""
 
-    def __init__(self, document: Document, axes: Sequence[Axis]) -> None:
-        self._document, self._axes = document, axes
-        self._texts: list[tuple[Location, tuple[str, ...], str]] = []
-        for section in CHANGEABLE:
-            for at, text in texts(document.data.get(section), (section,)):
-                if section in DATA:
-                    self._texts.append((at, ("data",), text))
-                elif at[1:]:
-                    self._texts.append((at, (section, str(at[1])), text))
-        for axis in axes:
-            for label, patch in zip(axis.labels, axis.patches, strict=True):
-                for path, value in patch.items():
-                    self._texts += [
-                        (at, _root(path), text)
-                        for at, text in texts(value, ("cases", axis.name, str(label), path))
-                    ]
+    variable: str
+    text: str
+    place: Location
+    root: tuple[str, ...]
 
-    def uses(self, axis: Axis) -> frozenset[tuple[str, ...]]:
-        """What names a variable of the axis."""
-        own = {*self._names(axis)}
-        return frozenset(root for _, root, text in self._texts if own.intersection(variables_in(text)))
 
-    def idle(self, axis: Axis) -> Iterator[Problem]:
-        """The variables of an axis that nothing uses, though the axis does nothing else."""
-        used = {name for _, _, text in self._texts for name in variables_in(text)}
-        for name in self._names(axis):
-            if name not in used and (name != axis.name or self._only_names(axis)):
-                yield Problem(("cases", axis.name), self._idle(name, axis))
+def _uses(document: Document, axes: Iterable[Axis]) -> Iterator[_Use]:
+    """The variables in a file and in what its axes set."""
 
-    def _only_names(self, axis: Axis) -> bool:
-        """Whether an axis does nothing but give its variable values."""
-        written = self._document.data["cases"][axis.name]
-        values = written.values() if isinstance(written, Mapping) else written
-        return not any(axis.patches) and not any(isinstance(value, Mapping) for value in values)
+    every = [
+        (at, text, ("data",) if section in DATA else (section, str(at[1])))
+        for section in CHANGEABLE
+        for at, text in texts(document.data.get(section), (section,))
+        if section in DATA or at[1:]
+    ] + [
+        (at, text, patch.root)
+        for axis in axes
+        for point in axis.points
+        for patch in point.patches
+        for at, text in texts(patch.value, ("cases", axis.name, str(point.label), patch.path))
+    ]
+    for at, text, root in every:
+        yield from (_Use(name, text, at, root) for name in variables_in(text))
 
-    def _idle(self, name: str, axis: Axis) -> str:
-        if name != axis.name:
-            return f"nothing uses '${name}'"
-        head = name.partition(".")[0]
-        near = did_you_mean(head, CHANGEABLE)
-        cannot = f"a case cannot change '{head}'{near} (it can: {one_of(CHANGEABLE)})"
-        return f"{cannot}, and nothing uses '${name}'"
 
-    def unclear(self, *, unknown_too: bool) -> Iterator[Problem]:
-        """Variables whose value is not clear, and values that cannot stand where their variable does."""
-        known: dict[str, Axis] = {}
-        for axis in self._axes:
-            for name in self._names(axis):
-                other = known.setdefault(name, axis)
-                if other is not axis:
-                    yield Problem(
-                        ("cases", axis.name), f"the axis '{other.name}' has a variable '{name}' too"
-                    )
-                for label, own in zip(axis.labels, axis.variables, strict=True):
-                    if name not in own:
-                        yield Problem(
-                            ("cases", axis.name, str(label)), f"must set '${name}', as other labels do"
-                        )
-        for at, root, text in self._texts:
-            for name in variables_in(text):
-                if name not in known:
-                    if unknown_too:
-                        yield Problem(at, unknown(name, known, "axis"))
-                elif root[0] == "metrics" and at[2:3] == ("estimators",):
-                    yield Problem(at, "a case cannot change the estimators of a metric")
-                elif not stands_alone(text):
-                    for own in known[name].variables:
-                        if stuck(own.get(name, "")):
-                            yield Problem(at, cannot_join(name, own[name]))
+def _idle(axis: Axis, written: Any, used: Set[str]) -> Iterator[str]:
+    """The variables of an axis that nothing uses, though the axis does nothing else."""
+    values = written.values() if isinstance(written, Mapping) else written
+    sets = any(point.patches for point in axis.points) or any(isinstance(one, Mapping) for one in values)
+    for name in axis.names:
+        if name in used or (name == axis.name and sets):
+            continue
+        cannot = "" if name != axis.name else f"{_cannot_change(name.partition('.')[0])}, and "
+        yield f"{cannot}nothing uses '${name}'"
 
-    @staticmethod
-    def _names(axis: Axis) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(itertools.chain.from_iterable(axis.variables)))
+
+def _cannot_change(head: str) -> str:
+    return f"a case cannot change '{head}'{did_you_mean(head, CHANGEABLE)} (it can: {one_of(CHANGEABLE)})"
+
+
+def _unclear(axes: Iterable[Axis], uses: Iterable[_Use], *, unknown_too: bool) -> Iterator[Problem]:
+    """Variables whose value is not clear, and values that cannot stand where their variable does."""
+    known: dict[str, Axis] = {}
+    for axis in axes:
+        for name in axis.names:
+            other = known.setdefault(name, axis)
+            if other is not axis:
+                yield Problem(("cases", axis.name), f"the axis '{other.name}' has a variable '{name}' too")
+            for point in axis.points:
+                if name not in point.variables:
+                    label = str(point.label)
+                    yield Problem(("cases", axis.name, label), f"must set '${name}', as other labels do")
+    for name, text, at, root in uses:
+        if name not in known:
+            if unknown_too:
+                yield Problem(at, unknown(name, known, "axis"))
+        elif root[0] == "metrics" and at[2:3] == ("estimators",):
+            yield Problem(at, "a case cannot change the estimators of a metric")
+        elif not stands_alone(text):
+            for point in known[name].points:
+                if stuck(point.variables.get(name, "")):
+                    yield Problem(at, cannot_join(name, point.variables[name]))
 
 
 def skips(document: Document, axes: Sequence[Axis], complaints: list[Complaint]) -> tuple[Skip, ...]:
     """The cases that a document leaves out under ``skip``; what is wrong goes to the complaints."""
-    written = document.data.get("skip", ())
-    found: list[Skip] = []
+    written, estimators = document.data.get("skip"), document.data.get("estimators")
     # Of an axis that cannot be applied, that is said, and it has no labels to be wrong.
     unsound = set(written_axes(document)) - {axis.name for axis in axes}
     known = {axis.name: list(map(str, axis.labels)) for axis in axes}
-    estimators = document.data.get("estimators")
     known["estimator"] = list(estimators) if isinstance(estimators, Mapping) else []
+    found: list[Skip] = []
     for i, entry in enumerate(written if isinstance(written, list) else ()):
-        problems: list[Problem] = []
+        if not isinstance(entry, Mapping):
+            continue
+        problems = [] if entry else [Problem(("skip", i), "must name labels of axes, an estimator, or both")]
         chosen: dict[str, frozenset[str]] = {}
-        for name, labels in entry.items() if isinstance(entry, Mapping) else ():
+        for name, labels in entry.items():
             names = [str(label) for label in (labels if isinstance(labels, list) else [labels])]
             chosen[name] = frozenset(names)
-            if name not in known and name not in unsound:
-                problems.append(Problem(("skip", i, name), there_is_no("axis", name, known)))
+            if name in unsound:
+                continue
             what = "estimator" if name == "estimator" else "label"
-            problems += [
-                Problem(("skip", i, name), there_is_no(what, one, known[name]))
-                for one in names
-                if name in known and one not in known[name]
-            ]
-        if not chosen and isinstance(entry, Mapping):
-            problems.append(Problem(("skip", i), "must name labels of axes, an estimator, or both"))
+            messages = (
+                [there_is_no(what, one, known[name]) for one in names if one not in known[name]]
+                if name in known
+                else [there_is_no("axis", name, known)]
+            )
+            problems += [Problem(("skip", i, name), message) for message in messages]
         complaints += document.complaints_of(problems)
         if chosen and not problems and unsound.isdisjoint(chosen):
             found.append(Skip(chosen, chosen.pop("estimator", None)))
@@ -321,7 +314,7 @@ def idle_assignments(
     for assignment in assignments:
         path, value = (part.strip() for part in split_assignment(document, assignment))
         for axis in axes:
-            if all(any(f"{path}.".startswith(f"{key}.") for key in patch) for patch in axis.patches):
+            if all(any(f"{path}.".startswith(f"{p.path}.") for p in point.patches) for point in axis.points):
                 remedy = f"; use --set cases.{path}=[{value}]" if axis.name == path else " under every label"
                 yield Complaint(0, f"--set {assignment}: cases.{axis.name} sets this key{remedy}")
 
@@ -330,11 +323,10 @@ def _unsound(axis: Axis, data: Mapping[str, Any]) -> Iterator[str]:
     """What an axis may not do."""
     if axis.name in (*_COLUMNS, *_QUANTILES, *_EXPORTED):
         yield f"an axis cannot be named '{axis.name}', which is a column of the results"
-    for path in dict.fromkeys(itertools.chain.from_iterable(axis.patches)):
+    for path in dict.fromkeys(patch.path for point in axis.points for patch in point.patches):
         head, *rest = path.split(".")
         if head not in CHANGEABLE:
-            near = did_you_mean(head, CHANGEABLE)
-            yield f"a case cannot change '{head}'{near} (it can: {one_of(CHANGEABLE)})"
+            yield _cannot_change(head)
         elif head not in DATA:
             section = data.get(head)
             known = section if isinstance(section, Mapping) else {}
@@ -349,13 +341,11 @@ def _unsound(axis: Axis, data: Mapping[str, Any]) -> Iterator[str]:
 def _misplaced(axis: Axis, document: Document) -> list[Complaint]:
     """Key paths of an axis that lead nowhere."""
     found = []
-    for patches, places in zip(axis.patches, axis.places, strict=True):
+    for point in axis.points:
         at_label = document
-        for path, value in patches.items():
-            if _leaves_out(path, value):
-                continue
+        for patch in point.patches:
             try:
-                at_label = at_label.patched(path, value, places[path])
+                at_label = replace(point, patches=(patch,)).apply(at_label)
             except ConfigError as error:
-                found.append(Complaint(places[path].line, str(error)))
+                found.append(Complaint(patch.place.line, str(error)))
     return found

@@ -94,8 +94,9 @@ class Expansion:
         document = self._document
         values: dict[str, Any] = {}
         for axis, index in sorted(choice.items()):
-            document = self._axes[axis].apply(document, index)
-            values |= self._axes[axis].variables[index]
+            point = self._axes[axis].points[index]
+            document = point.apply(document)
+            values |= point.variables
         sections = {name: filled(document.data[name], values) for name in CHANGEABLE if name in document.data}
         return replace(document, data={**document.data, **sections})
 
@@ -106,11 +107,10 @@ class Expansion:
             if isinstance(named := self._document.data.get(section), Mapping):
                 roots += [(section, name) for name in named]
         for root in roots:
-            choices = self._choices({root})
-            if 1 < choices.count <= _MOST_UNITS:
-                for choice in choices:
-                    if not self._is_left_out(root[1] if root[1:] else None, choice):
-                        self._part(root, choice)
+            choices = self._choices({root}, _MOST_UNITS)
+            for choice in choices if len(choices) > 1 else ():
+                if not self._is_left_out(root[1] if root[1:] else None, choice):
+                    self._part(root, choice)
         return self._complaints
 
     def units(
@@ -128,26 +128,22 @@ class Expansion:
                 if spec.estimators is None or name in spec.estimators
             ]
             if not scored and not misnamed:
-                problem = Problem(("estimators", name), "no metric scores this estimator")
-                self._complaints += self._document.complaints_of([problem])
+                self._complain(("estimators", name), "no metric scores this estimator")
             roots = {("data",), ("estimators", name), *(("metrics", metric) for metric in scored)}
-            choices = self._choices(roots)
-            if len(found) + choices.count > _MOST_UNITS:
-                problem = Problem(("cases",), f"expands to more than {_MOST_UNITS} estimates")
-                self._complaints += self._document.complaints_of([problem])
+            choices = self._choices(roots, _MOST_UNITS - len(found))
+            if not choices:
+                self._complain(("cases",), f"expands to more than {_MOST_UNITS} estimates")
                 break
             wanted = [choice for choice in choices if not self._is_left_out(name, choice)]
             if not wanted:
-                problem = Problem(("estimators", name), "is left out of every case")
-                self._complaints += self._document.complaints_of([problem])
+                self._complain(("estimators", name), "is left out of every case")
             for choice in wanted:
                 unit = self._unit(name, scored, choice)
                 if unit is not None:
                     found.append((self._relevant(("data",), choice), unit))
-        idle = [i for i in range(len(self._skip)) if i not in self._skipped]
-        self._complaints += self._document.complaints_of(
-            Problem(("skip", i), "leaves nothing out: no estimate has all these labels") for i in idle
-        )
+        for i in range(len(self._skip)):
+            if i not in self._skipped:
+                self._complain(("skip", i), "leaves nothing out: no estimate has all these labels")
         self._complain_of_factors()
         complaints += self._complaints
         return [unit for _, unit in sorted(found, key=lambda pair: pair[0])]
@@ -158,7 +154,7 @@ class Expansion:
         covering = {i for i, skip in enumerate(self._skip) if skip.covers(name, labels)}
         self._skipped |= covering
         # Whatever the other labels set.
-        return bool(covering) or any(name in self._axes[i].leaves_out(j) for i, j in choice.items())
+        return bool(covering) or any(name in self._axes[i].points[j].left_out for i, j in choice.items())
 
     def _labels(self, choice: Mapping[int, int]) -> dict[str, Label]:
         return {self._axes[i].name: self._axes[i].labels[j] for i, j in choice.items()}
@@ -206,9 +202,12 @@ class Expansion:
                 if message:
                     self._complaints += self.document(first.choice).complaints_of([problem])
 
-    def _choices(self, roots: set[tuple[str, ...]]) -> _Choices:
-        relevant = [i for i, axis in enumerate(self._axes) if axis.roots & roots]
-        return _Choices({i: len(self._axes[i].labels) for i in relevant})
+    def _choices(self, roots: set[tuple[str, ...]], most: int) -> list[dict[int, int]]:
+        """The choices of labels of the axes that touch any of the parts; none if there are too many."""
+        places = {i: range(len(axis.points)) for i, axis in enumerate(self._axes) if axis.roots & roots}
+        if math.prod(map(len, places.values())) > most:
+            return []
+        return [dict(zip(places, chosen, strict=True)) for chosen in itertools.product(*places.values())]
 
     def _relevant(self, root: tuple[str, ...], choice: Mapping[int, int]) -> tuple[tuple[int, int], ...]:
         return tuple((i, j) for i, j in sorted(choice.items()) if root in self._axes[i].roots)
@@ -225,6 +224,9 @@ class Expansion:
                 self._complaints += document.complaints_of(problems_of(error, location))
         return self._parts[root, relevant]
 
+    def _complain(self, location: Location, message: str) -> None:
+        self._complaints += self._document.complaints_of([Problem(location, message)])
+
 
 @dataclass(frozen=True)
 class _Compared:
@@ -233,21 +235,6 @@ class _Compared:
     unit: Unit
     metric: str
     choice: Mapping[int, int]
-
-
-@dataclass(frozen=True)
-class _Choices:
-    """The product of some axes: for each the number of its labels."""
-
-    sizes: dict[int, int]
-
-    @property
-    def count(self) -> int:
-        return math.prod(self.sizes.values())
-
-    def __iter__(self) -> Iterator[dict[int, int]]:
-        for indices in itertools.product(*map(range, self.sizes.values())):
-            yield dict(zip(self.sizes, indices, strict=True))
 
 
 def _validated(root: tuple[str, ...], data: Mapping[str, Any]) -> Any:
