@@ -154,32 +154,21 @@ class Results:
         import pandas as pd
 
         axes = [axis.name for axis in self.plan.axes]
-        rows: list[Mapping[str, object]] = [
-            {
-                **{axis: series.unit.labels.get(axis, "") for axis in axes},
-                "estimator": series.unit.name,
-                "metric": series.metric,
-                **series.statistics,
-            }
-            for series in self.series
-        ]
+        rows = [{**self._names(series), **series.statistics} for series in self.series]
         return pd.DataFrame(rows, columns=[*axes, "estimator", "metric", *STATISTICS])
 
     def trials_frame(self) -> pd.DataFrame:
         """The value of every trial: the case's columns, estimator, metric, trial and value (nan: failed)."""
         import pandas as pd
 
-        axes = [axis.name for axis in self.plan.axes]
-        parts = [
-            pd.DataFrame(
-                {
-                    **{axis: series.unit.labels.get(axis, "") for axis in axes},
-                    "estimator": series.unit.name,
-                    "metric": series.metric,
-                    "trial": range(self.plan.trials),
-                    "value": series.values,
-                }
-            )
+        trials = range(self.plan.trials)
+        parts = (
+            pd.DataFrame({**self._names(series), "trial": trials, "value": series.values})
             for series in self.series
-        ]
+        )
         return pd.concat(parts, ignore_index=True)
+
+    def _names(self, series: Series) -> dict[str, Label]:
+        """What a series is of, by the columns of a table."""
+        labels = {axis.name: series.unit.labels.get(axis.name, "") for axis in self.plan.axes}
+        return {**labels, "estimator": series.unit.name, "metric": series.metric}

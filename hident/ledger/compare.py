@@ -15,7 +15,7 @@ Hidden files, ``*.tmp``, and the provenance in ``run.json`` do not count.
 from __future__ import annotations
 
 from collections.abc import Iterator, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from hident.engine.results import STATISTICS
@@ -48,10 +48,8 @@ class Comparison:
     allowed: tuple[str, ...] = ()
 
 
-@dataclass
-class _Found:
-    differences: list[str] = field(default_factory=list)
-    allowed: list[str] = field(default_factory=list)
+_Said = tuple[str, bool]
+"""What differs, and whether it counts as a difference."""
 
 
 def compare(
@@ -102,22 +100,22 @@ def _compare(
     }
     # The chance is that of all units together.
     units = sum(len(pair.trials.units) for pair in pairs.values() if pair.trials)
-    found, absent = _Found(), []
+    found: list[_Said] = []
+    absent = []
     for name in sorted(names):
         if name in pairs:
-            pairs[name].judge(CHANCE / max(units, 1), found)
+            found += pairs[name].judged(CHANCE / max(units, 1))
         elif not _files(reference / name):
-            found.differences.append(f"{name}: not accepted yet; hident accept {name}")
+            found.append((f"{name}: not accepted yet; hident accept {name}", True))
         else:
             absent.append(name)
             if complete:
-                found.differences.append(f"{name}: not run; hident run {name}")
+                found.append((f"{name}: not run; hident run {name}", True))
     if "." not in names:
-        for name in sorted(_files(ours) | _files(reference)):
-            if name.partition("/")[0] not in names:
-                lines = _two(ours / name, reference / name, rtol)
-                found.differences += [f"{name}: {line}" for line in lines]
-    return Comparison(tuple(found.differences), len(pairs), tuple(absent), tuple(found.allowed))
+        others = {name for name in _files(ours) | _files(reference) if name.partition("/")[0] not in names}
+        found += [(line, True) for line in _lines(ours, reference, others, rtol)]
+    differences, allowed = (tuple(line for line, counts in found if counts is of) for of in (True, False))
+    return Comparison(differences, len(pairs), tuple(absent), allowed)
 
 
 def _results(folder: Path, remedy: str) -> set[str]:
@@ -146,13 +144,18 @@ def _files(folder: Path) -> set[str]:
     }
 
 
-def _two(ours: Path, reference: Path, rtol: float) -> list[str]:
-    """What two files differ in, if both are there."""
-    if not ours.is_file():
-        return ["missing"]
-    if not reference.is_file():
-        return ["extra, the reference lacks it"]
-    return list(content_differences(ours, reference, rtol))
+def _lines(ours: Path, reference: Path, names: Set[str], rtol: float) -> list[str]:
+    """What the files of these names differ in, a line each with the name; one that is missing differs."""
+    found: list[str] = []
+    for name in sorted(names):
+        mine, theirs = ours / name, reference / name
+        if not mine.is_file():
+            found.append(f"{name}: missing")
+        elif not theirs.is_file():
+            found.append(f"{name}: extra, the reference lacks it")
+        else:
+            found += [f"{name}: {line}" for line in content_differences(mine, theirs, rtol)]
+    return found
 
 
 class _Pair:
@@ -160,23 +163,12 @@ class _Pair:
 
     def __init__(self, ours: Path, reference: Path, rtol: float, partial: bool) -> None:
         self._ours, self._reference, self._rtol, self._partial = ours, reference, rtol, partial
-        self._title = reference.resolve().name
         self.trials = self._compared_trials()
 
-    def judge(self, chance: float, found: _Found) -> None:
-        """Add what the configuration differs in; ``chance`` is that of more moved trials than likely."""
-        found.differences += [f"{self._title}/{line}" for line in self._altered()]
-        if self.trials is None:
-            found.differences += [f"{self._title}/{line}" for line in self._lines(self._names())]
-            return
-        count, wanted = self.trials.ours.trials, self.trials.reference.trials
-        if count != wanted and not self._partial:
-            found.differences.append(
-                f"{self._title}: {count} trials, reference {wanted}: --partial compares those of both"
-            )
-            return
-        for line, counts in self._judged(self.trials, chance):
-            (found.differences if counts else found.allowed).append(f"{self._title}{line}")
+    def judged(self, chance: float) -> Iterator[_Said]:
+        """What the configuration differs in; ``chance`` is that of more moved trials than likely."""
+        title = self._reference.resolve().name
+        yield from ((f"{title}{line}", counts) for line, counts in self._judged(chance))
 
     def _altered(self) -> Iterator[str]:
         """What was altered on either side, and a run.json that cannot say so though the other's can."""
@@ -188,24 +180,32 @@ class _Pair:
             if sealed and folder.finished and not folder.sealed:
                 yield f"{RUN}: {whose}lacks provenance.key and provenance.sha256, which every run writes"
 
-    def _judged(self, trials: TrialComparison, chance: float) -> Iterator[tuple[str, bool]]:
-        """What differs, and whether it counts as a difference."""
+    def _judged(self, chance: float) -> Iterator[_Said]:
+        yield from ((f"/{line}", True) for line in self._altered())
+        names = (_files(self._ours) | _files(self._reference)) - {SENSITIVITY}
+        if (trials := self.trials) is None:
+            yield from self._files_differ(names)
+            return
+        count, wanted = trials.ours.trials, trials.reference.trials
+        if count != wanted and not self._partial:
+            yield f": {count} trials, reference {wanted}: --partial compares those of both", True
+            return
         yield from ((f": {line}", True) for line in sorted(trials.unmatched()))
         moved = list(trials.moved(chance))
         yield from ((f": {unit.said}", not unit.allowed) for unit in moved)
         yield from ((f"/{line}", True) for line in self._table(trials))
-        run = self._lines({RUN})
-        if trials.ours.trials != trials.reference.trials:
-            of_trials = tuple(f"{RUN}: {path}" for path in _OF_TRIALS)
-            yield from ((f"/{line}", True) for line in run if not line.startswith(of_trials))
+        run = self._files_differ({RUN})
+        if count != wanted:
+            of_trials = tuple(f"/{RUN}: {path}" for path in _OF_TRIALS)
+            yield from (said for said in run if not said[0].startswith(of_trials))
             return
-        others = self._lines(self._names() - {RUN, TABLE, TRIALS})
+        others = self._files_differ(names - {RUN, TABLE, TRIALS})
         if moved and others:
             # What follows from the trials is told by its name alone.
-            names = ", ".join(sorted({line.partition(": ")[0] for line in others}))
-            yield f": {names}: as these trials give", not all(unit.allowed for unit in moved)
+            follow = ", ".join(sorted({line.removeprefix("/").partition(": ")[0] for line, _ in others}))
+            yield f": {follow}: as these trials give", not all(unit.allowed for unit in moved)
             others = []
-        yield from ((f"/{line}", True) for line in (*run, *others))
+        yield from (*run, *others)
 
     def _compared_trials(self) -> TrialComparison | None:
         try:
@@ -237,15 +237,8 @@ class _Pair:
                     lines = trials.rows(mine[key], theirs[key], key)
                     yield from (f"{TABLE}: {name}: {line}" for line in lines)
 
-    def _names(self) -> set[str]:
-        return (_files(self._ours) | _files(self._reference)) - {SENSITIVITY}
-
-    def _lines(self, names: Set[str]) -> list[str]:
-        return [
-            f"{name}: {line}"
-            for name in sorted(names)
-            for line in _two(self._ours / name, self._reference / name, self._rtol)
-        ]
+    def _files_differ(self, names: Set[str]) -> list[_Said]:
+        return [(f"/{line}", True) for line in _lines(self._ours, self._reference, names, self._rtol)]
 
 
 def _rows(folder: Path, values: TrialValues) -> tuple[dict[Key, Row], list[str]]:
