@@ -32,10 +32,7 @@ ROOMS = ("signals", "systems", "estimators", "metrics", "reports")
 def load(files: Iterable[Path] = ()) -> None:
     """Import every built-in component, every installed plugin and the given plugin files.
 
-    Raises
-    ------
-    ConfigError
-        If plugins cannot be imported; the message names each and its reason.
+    ConfigError if plugins cannot be imported; the message names each and its reason.
     """
     load_built_in()
     problems = [

@@ -93,10 +93,7 @@ class RunFolder:
 
         Files that an earlier run listed and the new one does not are removed.
 
-        Raises
-        ------
-        StoreError
-            If a file cannot be written or moved.
+        StoreError if a file cannot be written or moved.
         """
         new = RunFolder(self.path / ".new")
         try:

@@ -91,10 +91,7 @@ class Formula:
     variables : tuple of str
         The names that the formula may use besides the constants ``pi`` and ``e``.
 
-    Raises
-    ------
-    FormulaError
-        If the text is not a formula; the message names the part and what is allowed.
+    FormulaError if the text is not a formula; the message names the part and what is allowed.
     """
 
     text: str
@@ -128,10 +125,7 @@ class Formula:
 def number(text: str) -> float:
     """Evaluate a formula without variables, e.g. ``number("2*pi")``.
 
-    Raises
-    ------
-    FormulaError
-        If the text is not a formula or its value is not a finite number.
+    FormulaError if the text is not a formula or its value is not a finite number.
     """
     value = float(Formula(text)())
     if not math.isfinite(value):

@@ -50,10 +50,7 @@ class Document:
     def patched(self, path: str, value: Any, place: Place) -> Document:
         """A copy with the value at the dotted path replaced.
 
-        Raises
-        ------
-        ConfigError
-            If a key on the way to the last one does not exist; the nearest valid name is given.
+        ConfigError if a key on the way to the last one does not exist; the nearest valid name is given.
         """
         data = dict(self.data)
         location = _put(data, path, value, place.text)
@@ -105,10 +102,7 @@ def _got(problem: Problem) -> str:
 def read(path: Path, content: bytes | None = None) -> Document:
     """Read a YAML file, or its content if that is known.
 
-    Raises
-    ------
-    ConfigError
-        If the file cannot be read or is no strict YAML mapping; the message names the line.
+    ConfigError if the file cannot be read or is no strict YAML mapping; the message names the line.
     """
     document = read_leniently(path, content)
     if document.complaints:
@@ -119,10 +113,7 @@ def read(path: Path, content: bytes | None = None) -> Document:
 def read_leniently(path: Path, content: bytes | None = None) -> Document:
     """Read a YAML file, or its content; what is no more than unclear goes to the document's complaints.
 
-    Raises
-    ------
-    ConfigError
-        If the file cannot be read or is no YAML mapping at all.
+    ConfigError if the file cannot be read or is no YAML mapping at all.
     """
     try:
         if content is None:
@@ -156,10 +147,7 @@ def read_leniently(path: Path, content: bytes | None = None) -> Document:
 def override(document: Document, assignments: Iterable[str]) -> Document:
     """Apply ``--set`` assignments such as ``excitation.high=2*pi``; values are read as YAML.
 
-    Raises
-    ------
-    ConfigError
-        With all assignments that cannot be read or whose path leads nowhere.
+    ConfigError with all assignments that cannot be read or whose path leads nowhere.
     """
     errors: list[str] = []
     for assignment in assignments:
@@ -201,15 +189,23 @@ def _known(document: dict[str, Any], path: list[str]) -> int:
     at: Any = document
     rest = path
     while rest:
-        if isinstance(at, list):
-            at = {str(i): item for i, item in enumerate(at)}
-        keys = at if isinstance(at, Mapping) else {}
-        length = next((n for n in range(len(rest), 0, -1) if ".".join(rest[:n]) in keys), 0)
-        if not length:
+        key, left = _first_key(at, rest)
+        if key is None:
             break
-        at, rest = keys[".".join(rest[:length])], rest[length:]
+        at, rest = at[key], left
     found = path[: len(path) - len(rest)]
     return len(".".join(found)) + (_known(document, rest) if rest and found == ["cases"] else 0)
+
+
+def _first_key(at: Any, path: list[str]) -> tuple[str | int | None, list[str]]:
+    """The key of a container that a path begins with, if there is one, and what is left of the path."""
+    if isinstance(at, list):
+        at = {str(i): i for i in range(len(at))}
+        return at.get(path[0]), path[1:]
+    # A key may hold dots itself, such as an axis: the longest that fits is meant.
+    names = (".".join(path[:length]) for length in range(len(path), 0, -1))
+    key = next((name for name in names if isinstance(at, Mapping) and name in at), None)
+    return key, path[1 + (key or "").count(".") :]
 
 
 def _put(data: dict[str, Any], path: str, value: Any, place: str) -> Location:
@@ -220,35 +216,26 @@ def _put(data: dict[str, Any], path: str, value: Any, place: str) -> Location:
     if rest[0] == "cases" and rest[1:]:
         data.setdefault("cases", {})
     while True:
-        where = spelled(location) or "the file"
-        key: str | int
-        if isinstance(at, list):
-            key, *rest = rest
-            if key not in map(str, range(len(at))):
-                allowed = f"one of {one_of(map(str, range(len(at))))}" if at else "left out"
-                raise ConfigError(
-                    f"{place}: {path}: {where} is a list of {len(at)}, so '{key}' must be {allowed}"
-                )
-            key = int(key)
-        elif isinstance(at, dict):
-            # A key may hold dots itself, such as an axis: the longest that fits is meant.
-            length = next((n for n in range(len(rest), 1, -1) if ".".join(rest[:n]) in at), 1)
-            key, rest = ".".join(rest[:length]), rest[length:]
-            if location == ("cases",) and key not in at:
-                # The name of a new axis, dots included.
-                key, rest = ".".join((key, *rest)), []
-            if rest and key not in at:
-                raise ConfigError(
-                    f"{place}: {path}: {where} has no key '{key}'{did_you_mean(key, at)} "
-                    f"(it has: {one_of(at)})"
-                )
-        else:
-            raise ConfigError(f"{place}: {path}: {where} is {shown(at)}, which has no key '{rest[0]}'")
+        key, left = _first_key(at, rest)
+        if key is None:
+            # A new key; the name of a new axis holds all that is left.
+            key, left = (path.partition(".")[2], []) if location == ("cases",) else (rest[0], rest[1:])
+            if left or not isinstance(at, dict):
+                raise ConfigError(f"{place}: {path}: {spelled(location) or 'the file'} {_lacks(at, key)}")
         location = (*location, key)
-        if not rest:
+        if not left:
             at[key] = value
             return location
-        inner = at[key]
         # A bare name stands for a component without further keys.
-        at[key] = {"kind": inner} if isinstance(inner, str) else copy.copy(inner)
-        at = at[key]
+        at[key] = {"kind": at[key]} if isinstance(at[key], str) else copy.copy(at[key])
+        at, rest = at[key], left
+
+
+def _lacks(at: Any, key: str) -> str:
+    """What to say of a value without the key that a path leads along."""
+    if isinstance(at, list):
+        allowed = f"one of {one_of(map(str, range(len(at))))}" if at else "left out"
+        return f"is a list of {len(at)}, so '{key}' must be {allowed}"
+    if isinstance(at, dict):
+        return f"has no key '{key}'{did_you_mean(key, at)} (it has: {one_of(at)})"
+    return f"is {shown(at)}, which has no key '{key}'"

@@ -133,10 +133,7 @@ else:
 class Spec(BaseModel, metaclass=_Meta):
     """A frozen part of a configuration; unknown keys are refused with the nearest valid name.
 
-    Raises
-    ------
-    ConfigError
-        If it is made in Python with fields that a configuration could not hold.
+    ConfigError if it is made in Python with fields that a configuration could not hold.
     """
 
     # Schemas are built at first use: a command needs few of them.
@@ -262,10 +259,7 @@ C = TypeVar("C", bound=type[Component])
 def component(family: Family, kind: str, *, source: str = "") -> Callable[[C], C]:
     """Register a component class under ``kind`` in its family; ``source`` cites its origin.
 
-    Raises
-    ------
-    ValueError
-        If the family is unknown, or another class already has that name.
+    ValueError if the family is unknown, or another class already has that name.
     """
     if family not in get_args(Family):
         near = did_you_mean(family, get_args(Family))

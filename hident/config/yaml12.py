@@ -96,13 +96,7 @@ class Reader:
         self.complaints: list[Complaint] = []
 
     def read(self, text: str) -> Any:
-        """The data.
-
-        Raises
-        ------
-        ConfigError
-            If the text is no YAML, or far too large.
-        """
+        """The data; ConfigError if the text is no YAML, or far too large."""
         too_deep = ConfigError(f"{self._name}: is not valid: it is nested more than {_DEEPEST} deep")
         try:
             node = yaml.compose(text, Loader=_Loader)

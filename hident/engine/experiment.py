@@ -216,10 +216,7 @@ class Plan:
     ) -> Plan:
         """The plan with another number of trials, another seed or another perturbation.
 
-        Raises
-        ------
-        ConfigError
-            If there is no trial, or the seed or the perturbation is negative.
+        ConfigError if there is no trial, or the seed or the perturbation is negative.
         """
         given = {"trials": trials, "seed": seed}
         experiment = self.experiment.model_copy(
@@ -260,10 +257,7 @@ class Plan:
     def paper_file(self, name: str) -> bytes | None:
         """A file of the paper's folder as it was when it was first asked for; None if there was none.
 
-        Raises
-        ------
-        ConfigError
-            If the file cannot be read.
+        ConfigError if the file cannot be read.
         """
         if self.paper is not None and name not in self._paper_files:
             path = self.paper / name
@@ -283,10 +277,7 @@ def load(
 ) -> Plan:
     """Read a configuration, apply ``--set`` assignments and options such as trials, expand its cases.
 
-    Raises
-    ------
-    ConfigError
-        With all that is wrong with the file, one line for each problem.
+    ConfigError with all that is wrong with the file, one line for each problem.
     """
     document = source if isinstance(source, Document) else read_leniently(source)
     path, document = Path(document.name), override(document, assignments)
@@ -341,13 +332,7 @@ def _beside(path: Path, names: Iterable[str]) -> tuple[Path, ...]:
 
 
 def _load_plugins(document: Document, path: Path) -> None:
-    """Load the files under ``plugins``.
-
-    Raises
-    ------
-    ConfigError
-        With one line for each that cannot be loaded.
-    """
+    """Load the files under ``plugins``; ConfigError with one line for each that cannot be loaded."""
     written = document.data.get("plugins")
     names = [name for name in written if isinstance(name, str)] if isinstance(written, list) else []
     problems = []

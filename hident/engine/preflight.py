@@ -16,10 +16,7 @@ from hident.estimators.base import EstimatorSpec
 def check_records(plan: Plan) -> None:
     """Ask each estimator about its case's experiments, and about the record of trial 0 if it can judge one.
 
-    Raises
-    ------
-    ConfigError
-        With one line for each estimator that cannot work with its case's records.
+    ConfigError with one line for each estimator that cannot work with its case's records.
     """
     problems, trial = [], OneTrial(plan, 0)
     for unit in plan.units:

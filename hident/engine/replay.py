@@ -44,13 +44,7 @@ class Realised:
     failure: str = ""
 
     def detail(self, name: str) -> Any:
-        """A detail of the estimate, such as its history.
-
-        Raises
-        ------
-        ValueError
-            If the estimate does not hold it.
-        """
+        """A detail of the estimate, such as its history; ValueError if the estimate does not hold it."""
         assert self.found is not None
         if name not in self.found.details:
             raise ValueError(f"the estimate of '{self.unit.name}' holds no {_DETAILS[name]}")
@@ -71,10 +65,7 @@ class OneTrial:
     def of(self, estimator: str, labels: Mapping[str, Label]) -> Realised:
         """The trial of an estimator at the given labels of axes; that of the first case which they leave.
 
-        Raises
-        ------
-        ConfigError
-            If there is no such estimate.
+        ConfigError if there is no such estimate.
         """
         named = (unit for unit in self._plan.units if unit.name == estimator and unit.is_at(labels))
         if (unit := next(named, None)) is None:

@@ -46,14 +46,8 @@ def accept(
     many ``repetitions``, and whose hash joins those in ``run.json``. The one of the old results is kept
     where the trials' values and the repetitions are the same.
 
-    Raises
-    ------
-    NothingToCompare
-        If ``ours`` has no ``run.json``.
-    ConfigError
-        If ``run.json`` is broken, or lists a file that is missing, lies elsewhere, or was altered.
-    StoreError
-        If a file cannot be read or written.
+    NothingToCompare if ``ours`` has no ``run.json``. ConfigError if ``run.json`` is broken, or lists a file
+    that is missing, lies elsewhere, or was altered. StoreError if a file cannot be read or written.
     """
     config = ours.resolve().name
     try:

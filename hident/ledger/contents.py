@@ -78,13 +78,7 @@ class Table:
 
 
 def decode_table(data: bytes) -> Table:
-    """A CSV file with a header.
-
-    Raises
-    ------
-    ValueError
-        If it is none.
-    """
+    """A CSV file with a header; ValueError if it is none."""
     reader = csv.reader(io.StringIO(data.decode(), newline=""), strict=True)
     columns = tuple(next(reader, ()))
     if not columns:

@@ -83,10 +83,7 @@ class _Reasons(Spec):
 def read_published(paper: Path, content: bytes | None = None) -> dict[Key, Printed]:
     """The printed numbers of a paper's folder, or of its file's content, by table, row and quantity.
 
-    Raises
-    ------
-    ConfigError
-        If the file is missing, lacks a column, repeats a key or holds a number that is none.
+    ConfigError if the file is missing, lacks a column, repeats a key or holds a number that is none.
     """
     path = paper / PUBLISHED
     try:
@@ -122,10 +119,8 @@ def printed_beside(
 ) -> Printed:
     """The printed number of a cell's quantity at these labels of axes.
 
-    Raises
-    ------
-    ConfigError
-        If there is none, with the nearest; if the cell names an axis that its estimator does not have.
+    ConfigError if there is none, with the nearest; if the cell names an axis that its estimator does not
+    have.
     """
 
     def label(found: re.Match[str]) -> str:
@@ -148,10 +143,7 @@ def _spelled(key: Key) -> str:
 def cells_astray(plan: Plan, cells: Sequence[PublishedCells]) -> Iterator[tuple[int, str]]:
     """The cells, by their place, beside which no estimate or no printed number stands, and why.
 
-    Raises
-    ------
-    ConfigError
-        If the paper's printed numbers cannot be read.
+    ConfigError if the paper's printed numbers cannot be read.
     """
     if plan.paper is None:
         return
@@ -175,10 +167,7 @@ def cells_astray(plan: Plan, cells: Sequence[PublishedCells]) -> Iterator[tuple[
 def check_published(plan: Plan) -> None:
     """Check the cells under ``published`` against the paper's printed numbers.
 
-    Raises
-    ------
-    ConfigError
-        If the printed numbers cannot be read, or with one line for each cell that stands beside none.
+    ConfigError if the printed numbers cannot be read, or with one line for each cell that stands beside none.
     """
     published = plan.experiment.published
     if published is None:
@@ -191,10 +180,7 @@ def check_published(plan: Plan) -> None:
 def read_reasons(paper: Path, content: bytes | None = None) -> tuple[Reason, ...]:
     """The reasons of a paper's folder, or of its file's content; none if there is no file.
 
-    Raises
-    ------
-    ConfigError
-        If the file is not a list of reasons.
+    ConfigError if the file is not a list of reasons.
     """
     path = paper / REASONS
     if content is None and not path.exists():

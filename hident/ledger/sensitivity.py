@@ -83,13 +83,7 @@ class Sensitivity:
 
     @classmethod
     def decoded(cls, data: bytes) -> Sensitivity:
-        """What :meth:`encoded` gave.
-
-        Raises
-        ------
-        ValueError
-            If the bytes are no such file.
-        """
+        """What :meth:`encoded` gave; ValueError if the bytes are no such file."""
         header, *rows = csv.reader(io.StringIO(data.decode(), newline=""), strict=True)
         width = len(header) - len(_COLUMNS)
         if tuple(header[width:]) != _COLUMNS or any(len(row) != len(header) for row in rows):

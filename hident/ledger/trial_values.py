@@ -49,13 +49,7 @@ class TrialValues:
 
     @classmethod
     def decoded(cls, data: bytes) -> TrialValues:
-        """What :meth:`encoded` gave.
-
-        Raises
-        ------
-        ValueError
-            If the bytes are no such file.
-        """
+        """What :meth:`encoded` gave; ValueError if the bytes are no such file."""
         try:
             text = lzma.decompress(data, format=lzma.FORMAT_XZ).decode()
         except lzma.LZMAError as error:

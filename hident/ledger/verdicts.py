@@ -65,10 +65,7 @@ def beside_trials(verdicts: Iterable[Verdict]) -> dict[int, Verdict]:
 def judge(results: Results) -> tuple[Verdict, ...]:
     """The verdicts on all printed numbers that the configuration names.
 
-    Raises
-    ------
-    ConfigError
-        If a cell that the configuration names is not among the printed numbers.
+    ConfigError if a cell that the configuration names is not among the printed numbers.
     """
     published = results.plan.experiment.published
     if published is None or results.plan.paper is None:

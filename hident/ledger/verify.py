@@ -35,12 +35,8 @@ class Verification:
 def verify(folder: Path, experiments: Path) -> Verification:
     """Check the verdicts of all configurations in ``folder`` against today's reasons.
 
-    Raises
-    ------
-    NothingToCompare
-        If the folder holds no verdicts.
-    ConfigError
-        If a file of the ledger cannot be read, or the verdicts of a run are gone or not as it wrote them.
+    NothingToCompare if the folder holds no verdicts. ConfigError if a file of the ledger cannot be read, or
+    the verdicts of a run are gone or not as it wrote them.
     """
     found = list(filter(_is_judged, sorted(folder.glob("*")))) or list(filter(_is_judged, [folder]))
     if not found:
