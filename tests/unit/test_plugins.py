@@ -59,7 +59,7 @@ def _own_register(monkeypatch):
     before = set(sys.modules)
     yield
     # A library that is loaded meanwhile stays: parts of numpy cannot be loaded twice.
-    libraries = {name.partition(".")[0] for name in before} | {"scipy", "pandas"}
+    libraries = {name.partition(".")[0] for name in before} | {"scipy", "pandas"} | sys.stdlib_module_names
     for name in set(sys.modules) - before:
         if name.partition(".")[0] not in libraries:
             del sys.modules[name]
