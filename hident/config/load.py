@@ -99,6 +99,16 @@ def _got(problem: Problem) -> str:
     return f" (got {text if len(text) <= 80 else text[:77] + '...'})"
 
 
+def content_of(path: Path) -> bytes | None:
+    """The bytes of a file, None if there is none; ConfigError if it cannot be read."""
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
 def read(path: Path, content: bytes | None = None) -> Document:
     """Read a YAML file, or its content if that is known.
 

@@ -13,6 +13,7 @@ from hident.config.spec import FAMILY_KEY, PLURALS, Spec, components
 
 _VARIABLE = "variable"
 _EACH = "each"
+# Pydantic leaves the bounds of a field with a validator of its own under its own names.
 _BOUNDS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "le": "maximum"}
 
 

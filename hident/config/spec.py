@@ -287,7 +287,6 @@ def components(family: Family) -> dict[str, type[Component]]:
 
 FAMILY_KEY = "x-family"
 """What a schema says in the place of a component, see :mod:`hident.config.schema`."""
-# Pydantic leaves the bounds of a field with a validator of its own under its own names.
 
 
 class Of:

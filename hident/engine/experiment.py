@@ -25,7 +25,7 @@ from pydantic import (
 from pydantic_core import CoreSchema
 
 from hident import plugins
-from hident.config.load import Document, Problem, override, problems_of, read_leniently
+from hident.config.load import Document, Problem, content_of, override, problems_of, read_leniently
 from hident.config.references import CaseLabels, EstimatorName, Metric, Template, referring
 from hident.config.repeated import repeated
 from hident.config.spec import Component, Count, Of, Spec
@@ -260,13 +260,7 @@ class Plan:
         ConfigError if the file cannot be read.
         """
         if self.paper is not None and name not in self._paper_files:
-            path = self.paper / name
-            try:
-                self._paper_files[name] = path.read_bytes()
-            except FileNotFoundError:
-                self._paper_files[name] = None
-            except OSError as error:
-                raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from None
+            self._paper_files[name] = content_of(self.paper / name)
         return self._paper_files.get(name)
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from hident.config.load import Problem, problems_of, read
+from hident.config.load import Problem, content_of, problems_of, read
 from hident.config.spec import Spec
 from hident.config.suggest import did_you_mean
 from hident.engine.experiment import Label, Plan, PublishedCells
@@ -86,15 +86,15 @@ def read_published(paper: Path, content: bytes | None = None) -> dict[Key, Print
     ConfigError if the file is missing, lacks a column, repeats a key or holds a number that is none.
     """
     path = paper / PUBLISHED
+    content = content_of(path) if content is None else content
+    if content is None:
+        raise ConfigError(f"{path}: no such file")
     try:
-        text = (path.read_bytes() if content is None else content).decode()
-        reader = csv.reader(io.StringIO(text, newline=""))
+        reader = csv.reader(io.StringIO(content.decode(), newline=""))
         header = tuple(next(reader, ()))
         rows = [(reader.line_num, cells) for cells in reader if cells]
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from None
     if header != _COLUMNS:
         raise ConfigError(f"{path}:1: the columns must be {','.join(_COLUMNS)}")
     found: dict[Key, Printed] = {}
