@@ -15,6 +15,7 @@ so the static gain is b_0.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -303,8 +304,11 @@ class ContinuousTransferFunction:
         return float(abs(self.a[-1]) ** (1.0 / len(self.a)))
 
     @cached_property
-    def _modes(self) -> tuple[Complex, Complex, Complex]:
-        """(T, B, C) with dz/dt = T z + B x, y = C z; T is upper triangular, time in :attr:`_unit`."""
+    def _form(self) -> tuple[Complex, Complex]:
+        """(T, Q) with dz/dt = T z + B x, B the last row of Q conjugated; T is upper triangular.
+
+        Time is in :attr:`_unit`.
+        """
         from scipy.linalg import schur
 
         n, unit = len(self.a), self._unit
@@ -312,16 +316,23 @@ class ContinuousTransferFunction:
         companion = np.eye(n, k=1)
         scaled = np.array([1.0, *(a / unit**i for i, a in enumerate(self.a[:-1], start=1))])
         companion[-1] = -scaled / leading
-        output = np.zeros(n)
-        output[: len(self.b)] = [b / unit**i / leading for i, b in enumerate(self.b)]
         triangular, basis = schur(companion, output="complex")
-        return triangular, basis[-1].conj(), output @ basis
+        return triangular, basis
+
+    def _weights(self, numerator: tuple[float, ...]) -> Complex:
+        """C with y = C z, for a numerator b_0, ..., b_m."""
+        n, unit = len(self.a), self._unit
+        leading = self.a[-1] / unit**n
+        output = np.zeros(n)
+        output[: len(numerator)] = [b / unit**i / leading for i, b in enumerate(numerator)]
+        return np.asarray(output @ self._form[1])
 
     def _held(self, dt: float) -> tuple[Complex, Complex]:
         """exp(T dt) and its integral from 0 to dt times B."""
         from scipy.linalg import expm
 
-        triangular, into, _ = self._modes
+        triangular, basis = self._form
+        into = basis[-1].conj()
         n = len(into)
         block = np.zeros((n + 1, n + 1), dtype=complex)
         block[:n, :n], block[:n, n] = triangular, into
@@ -353,22 +364,25 @@ class ContinuousTransferFunction:
         array, shape (N,)
             Exact for this input (zero-order hold), whatever the delay.
         """
+        return self.responses((self.b,), x, dt)[:, 0]
+
+    def responses(self, numerators: Sequence[tuple[float, ...]], x: Array, dt: float) -> Array:
+        """The responses (N, J) of the blocks with these J numerators in place of b, as :meth:`respond`."""
         from scipy.signal import lfilter
 
         phi, recent, older, whole = self._steps(dt)
         delayed = np.concatenate((np.zeros(min(whole, len(x))), x[: max(len(x) - whole, 0)]))
         earlier = np.concatenate(([0.0], delayed[:-1]))
-        output = self._modes[2]
         z = np.empty((len(phi), len(x)), dtype=complex)
         for i in reversed(range(len(phi))):
             driven = recent[i] * delayed + older[i] * earlier + phi[i, i + 1 :] @ z[i + 1 :]
             z[i] = lfilter([0.0, 1.0], [1.0, -phi[i, i]], driven)
-        return np.ascontiguousarray((output @ z).real)
+        return np.column_stack([(self._weights(numerator) @ z).real for numerator in numerators])
 
     def sampled(self, dt: float) -> TransferFunction:
         """The discrete block that relates held input and sampled output, its delay as leading zeros."""
         phi, recent, older, whole = self._steps(dt)
-        output = self._modes[2]
+        output = self._weights(self.b)
         denominator = np.poly(np.diag(phi)).real
         markov = np.zeros(len(phi) + 2)
         state = recent

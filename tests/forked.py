@@ -117,9 +117,10 @@ def _become(
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         for descriptor, file in enumerate(files, start=1):
             os.dup2(file.fileno(), descriptor)
+        encoding = env.get("PYTHONIOENCODING", "utf-8")
         sys.stdin, sys.stdout, sys.stderr = (
             # Standard error by lines, as Python has it.
-            open(descriptor, mode, 1 if descriptor == 2 else -1, encoding="utf-8", closefd=False)  # noqa: SIM115
+            open(descriptor, mode, 1 if descriptor == 2 else -1, encoding=encoding, closefd=False)  # noqa: SIM115
             for descriptor, mode in ((0, "r"), (1, "w"), (2, "w"))
         )
         os.environ.clear()

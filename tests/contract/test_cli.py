@@ -24,6 +24,7 @@ from hident import plugins
 from hident.cli import Listed, app
 from hident.config.spec import components
 from hident.progress import Lines
+from tests.forked import Forked
 
 if TYPE_CHECKING:
     from tests.conftest import Lab
@@ -303,12 +304,9 @@ def test_options_override_the_file(lab: Lab) -> None:
 def test_a_terminal_has_a_bar(done: Lab) -> None:
     done.forget()
     mine, theirs = pty.openpty()
-    command = [sys.executable, "-m", "hident", "run", "tiny.yaml", "-j1"]
     environment = {**os.environ, "TERM": "xterm", "COLUMNS": "100"}
-    process = subprocess.Popen(
-        command, cwd=done.folder, stdout=subprocess.DEVNULL, stderr=theirs, env=environment
-    )
-    os.close(theirs)
+    with Path(os.devnull).open("wb") as nowhere, os.fdopen(theirs, "wb") as terminal:
+        process = Forked(["run", "tiny.yaml", "-j1"], done.folder, nowhere, terminal, environment)
     shown = b""
     while True:
         try:

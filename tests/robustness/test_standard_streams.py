@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from hident.config.load import read
+from tests.forked import Forked
 
 if TYPE_CHECKING:
     from tests.conftest import Lab
@@ -43,18 +44,25 @@ _VERBS = {
     "--help": 0,
     "list": 0,
     "list estimators kernel": 0,
-    "validate tiny.yaml": 0,
-    "run tiny.yaml --jobs {jobs}": 0,
-    "status tiny.yaml": 0,
-    "accept tiny --jobs 1 --perturbations 1": 0,
+    "validate tiny.yaml --plugin probe.py": 0,
+    "run tiny.yaml --plugin probe.py --jobs {jobs}": 0,
+    "status tiny.yaml --plugin probe.py": 0,
+    "accept tiny --plugin probe.py --jobs 1 --perturbations 1": 0,
     "compare": 0,
     "verify": 4,
     "schema": 0,
-    "export tiny.yaml trials.csv": 0,
+    "export tiny.yaml trials.csv --plugin probe.py": 0,
     "doctor": 0,
     "validate none.yaml": 2,
     "frobnicate": 2,
 }
+
+
+@pytest.fixture
+def quick(lab: Lab) -> Lab:
+    """A laboratory whose trials need no library that is slow to import."""
+    lab.probe()
+    return lab
 
 
 def _sh(lab: Lab, command: str, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -71,10 +79,11 @@ def _sh(lab: Lab, command: str, **environment: str) -> subprocess.CompletedProce
 
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])
-def test_a_run_whose_reader_goes_away_writes_everything(lab: Lab, unbuffered: str) -> None:
-    done = _sh(lab, "$H run tiny.yaml -j1 2>&1 | head -n 1", PYTHONUNBUFFERED=unbuffered)
+def test_a_run_whose_reader_goes_away_writes_everything(quick: Lab, unbuffered: str) -> None:
+    run = "$H run tiny.yaml --plugin probe.py -j1"
+    done = _sh(quick, f"{run} 2>&1 | head -n 1", PYTHONUNBUFFERED=unbuffered)
     assert (done.returncode, done.stdout, done.stderr) == (0, "tiny: 24 trials\n", "")
-    written = {path.name for path in (lab.folder / "out/tiny").iterdir()}
+    written = {path.name for path in (quick.folder / "out/tiny").iterdir()}
     assert {"table.csv", "table.md", "run.json"} <= written
 
 
@@ -86,20 +95,20 @@ def test_a_run_whose_reader_goes_away_writes_everything(lab: Lab, unbuffered: st
         (">out.txt 2>err.txt", 1, {"PYTHONIOENCODING": "cp1252:strict", "LC_ALL": "C"}),
     ],
 )
-def test_every_verb_works(lab: Lab, streams: str, jobs: int, environment: dict[str, str]) -> None:
+def test_every_verb_works(quick: Lab, streams: str, jobs: int, environment: dict[str, str]) -> None:
     verbs = {verb.format(jobs=jobs): code for verb, code in _VERBS.items()}
-    lab.configure(title="Étude ∂ → 𝄞")
-    (lab.folder / "all.py").write_text(_ALL_VERBS)
-    (lab.folder / "verbs.txt").write_text("\n".join(verbs))
-    done = _sh(lab, f"{sys.executable} all.py {streams}", **environment)
+    quick.configure(title="Étude ∂ → 𝄞")
+    (quick.folder / "all.py").write_text(_ALL_VERBS)
+    (quick.folder / "verbs.txt").write_text("\n".join(verbs))
+    done = _sh(quick, f"{sys.executable} all.py {streams}", **environment)
     assert done.returncode == 0
-    assert (lab.folder / "codes.txt").read_text() == repr(verbs)
+    assert (quick.folder / "codes.txt").read_text() == repr(verbs)
     for name in ("out.txt", "err.txt"):
-        if (lab.folder / name).exists():
-            assert b"Traceback" not in (lab.folder / name).read_bytes()
+        if (quick.folder / name).exists():
+            assert b"Traceback" not in (quick.folder / name).read_bytes()
     # No file of the run was mistaken for a stream.
-    assert read(lab.folder / "tiny.yaml").data["title"] == "Étude ∂ → 𝄞"
-    assert json.loads((lab.folder / "out/tiny/run.json").read_text())["experiment"]["trials"] == 6
+    assert read(quick.folder / "tiny.yaml").data["title"] == "Étude ∂ → 𝄞"
+    assert json.loads((quick.folder / "out/tiny/run.json").read_text())["experiment"]["trials"] == 6
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252", "utf-8"])
@@ -110,19 +119,21 @@ def test_the_schema_is_sound_in_every_encoding(lab: Lab, encoding: str) -> None:
         "    '''Odd.'''\n    size: int = 1\n    '''é ∂ 𝄞'''\n",
         encoding="utf-8",
     )
-    _sh(lab, "$H schema --plugin p.py > schema.json", PYTHONIOENCODING=encoding)
+    with (lab.folder / "schema.json").open("wb") as file:
+        environment = os.environ | {"PYTHONIOENCODING": encoding}
+        assert Forked(["schema", "--plugin", "p.py"], lab.folder, file, file, environment).wait() == 0
     schema = json.loads((lab.folder / "schema.json").read_text(encoding=encoding))
     assert "é ∂ 𝄞" in json.dumps(schema, ensure_ascii=False)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_is_told_apart_from_a_reader_that_has_gone(lab: Lab) -> None:
-    done = _sh(lab, "$H validate tiny.yaml > /dev/full")
+def test_a_full_disk_is_told_apart_from_a_reader_that_has_gone(quick: Lab) -> None:
+    done = _sh(quick, "$H validate tiny.yaml --plugin probe.py > /dev/full")
     said = "error: standard output cannot be written (no space left on device)\n"
     assert (done.returncode, done.stderr) == (2, said)
-    done = _sh(lab, "$H run tiny.yaml -j1 > /dev/full 2> /dev/full")
+    done = _sh(quick, "$H run tiny.yaml --plugin probe.py -j1 > /dev/full 2> /dev/full")
     assert done.returncode == 2
-    assert (lab.folder / "out/tiny/run.json").exists()
+    assert (quick.folder / "out/tiny/run.json").exists()
 
 
 # The exceptions are raised one after the other in one process.
@@ -179,11 +190,11 @@ def test_an_unforeseen_exception_has_its_own_exit_code_and_a_file(lab: Lab) -> N
     assert "KeyError: 'a'" in lines[-1] or "KeyError: 'a'" in lines[-2]
 
 
-def test_workers_start_where_the_temporary_folder_has_a_long_name(lab: Lab) -> None:
-    long = lab.folder / ("x" * 110)
+def test_workers_start_where_the_temporary_folder_has_a_long_name(quick: Lab) -> None:
+    long = quick.folder / ("x" * 110)
     long.mkdir()
-    assert _sh(lab, "$H run tiny.yaml -j2 -q", TMPDIR=str(long)).returncode == 0
-    assert (lab.folder / "out/tiny/run.json").exists()
+    assert _sh(quick, "$H run tiny.yaml --plugin probe.py -j2 -q", TMPDIR=str(long)).returncode == 0
+    assert (quick.folder / "out/tiny/run.json").exists()
 
 
 def test_an_unknown_arithmetic_is_refused(lab: Lab) -> None:

@@ -8,7 +8,7 @@ from hident.linear_blocks import ContinuousTransferFunction
 from hident.records import Record
 from hident.systems.nonlinearity import PiecewiseLinear
 
-DT, SAMPLES, TRIALS = 0.1, 1201, 120
+DT, SAMPLES, TRIALS = 0.1, 1201, 60
 BLOCK = ContinuousTransferFunction((1.0, -2.0), (4.0, 5.0, 2.0), 1.0)
 TRUTH = {"a_1": 4.0, "a_2": 5.0, "a_3": 2.0, "b_0": 1.0, "b_1": -2.0}
 BENT = PiecewiseLinear(points=((-1, -0.7), (-0.4, -0.2), (0, 0), (0.5, 0.5), (1.5, 0.9)))
@@ -36,10 +36,15 @@ def estimates(second):
 @pytest.mark.parametrize("second", [None, SECOND], ids=["first stage", "both stages"])
 def test_intervals_hold_the_truth_as_often_as_they_say(second):
     found = list(estimates(second))
-    for name, true in TRUTH.items():
-        errors = np.array([(values[name] - true) / values[f"se_{name}"] for values in found])
-        assert 0.88 <= np.mean(np.abs(errors) < 1.96) <= 1.0, name
-        assert 0.75 < np.std(errors) < 1.25, name
+    errors = {
+        name: np.array([(values[name] - true) / values[f"se_{name}"] for values in found])
+        for name, true in TRUTH.items()
+    }
+    for name, of_one in errors.items():
+        assert 0.88 <= np.mean(np.abs(of_one) < 1.96) <= 1.0, name
+        assert 0.75 < np.std(of_one) < 1.25, name
+    # Its standard deviation is 0.05, and it is 0.8 where standard errors are 25 % too large.
+    assert 0.87 < np.sqrt(np.mean(np.square([*errors.values()]))) < 1.15
 
 
 def test_a_polynomial_has_no_standard_errors():

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -36,7 +37,7 @@ from hident.estimators.moving_horizon.wiener.four_segment import (
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.numerics.gauss_newton import descended, gauss_newton
 from hident.numerics.least_squares import Factorisation
-from hident.numerics.parts import Parts
+from hident.numerics.parts import Parts, in_each, whole
 
 _MAX_ITERATIONS = 100
 _DEPENDENT = (
@@ -77,14 +78,21 @@ class Refinement:
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """A model: the residuals (N,) and J (N, P) at ``theta``, and the coefficients of the nonlinearity."""
+    """A model: the residuals (N,) and J (N, P) at ``theta``, and the coefficients of the nonlinearity.
+
+    Of most models that a halved step tries, only the loss is asked for: ``derivatives`` gives J.
+    """
 
     theta: Array
     coefficients: Array
     residuals: Array
-    jacobian: Array
+    derivatives: Callable[[], Array]
 
-    @property
+    @cached_property
+    def jacobian(self) -> Array:
+        return self.derivatives()
+
+    @cached_property
     def loss(self) -> float:
         return float(self.residuals @ self.residuals)
 
@@ -111,14 +119,14 @@ def sensitivities(
     denominator = (1.0, *block.a)
     square = tuple(np.convolve(denominator, denominator)[1:].tolist())
     falling = tuple(-b for b in block.b)
-    by_a = [
-        ContinuousTransferFunction((0.0,) * i + falling, square, block.delay)
-        for i in range(1, len(denominator))
-    ]
-    by_b = [
-        ContinuousTransferFunction((0.0,) * i + (1.0,), block.a, block.delay) for i in range(len(block.b))
-    ]
-    return np.column_stack([responses_in(parts, derivative, x, dt) for derivative in (*by_a, *by_b)])
+    by_a = [(0.0,) * i + falling for i in range(1, len(denominator))]
+    by_b = [(0.0,) * i + (1.0,) for i in range(len(block.b))]
+    twice = ContinuousTransferFunction(by_a[0], square, block.delay)
+
+    def build(held_input: Array) -> Array:
+        return np.hstack([twice.responses(by_a, held_input, dt), block.responses(by_b, held_input, dt)])
+
+    return in_each(parts or whole(len(x)), build, x)
 
 
 def _factored(columns: Array) -> Factorisation:
@@ -243,8 +251,12 @@ def refine_hammerstein(
             return None
         responses = np.column_stack([responses_in(parts, at, phi, dt) for phi in basis_values.T])
         c = _factored(responses).solution(y)
-        outer = np.delete(sensitivities(at, basis_values @ c, dt, parts), n, axis=1)
-        return _Point(theta, c, y - responses @ c, np.hstack([outer, responses]))
+
+        def derivatives() -> Array:
+            outer = np.delete(sensitivities(at, basis_values @ c, dt, parts), n, axis=1)
+            return np.hstack([outer, responses])
+
+        return _Point(theta, c, y - responses @ c, derivatives)
 
     start = np.concatenate((block.a, np.array(block.b[1:]) / block.b[0]))
     end = _minimised(model, start, float(np.linalg.norm(y)), kinks=False)
@@ -294,9 +306,12 @@ def refine_wiener(
         if at is None or not np.all(e > 0.0):
             return None
         x = responses_in(parts, at, u, dt)
-        by_block = forward_slope(x, e, *points)[:, None] * sensitivities(at, u, dt, parts)
-        jacobian = np.hstack([by_block, forward_by_slopes(x, e, *points)])
-        return _Point(theta, e, y - forward(x, e, *points), jacobian)
+
+        def derivatives() -> Array:
+            by_block = forward_slope(x, e, *points)[:, None] * sensitivities(at, u, dt, parts)
+            return np.hstack([by_block, forward_by_slopes(x, e, *points)])
+
+        return _Point(theta, e, y - forward(x, e, *points), derivatives)
 
     start = np.array([*block.a, *block.b, *nonlinearity.e])
     end = _minimised(model, start, float(np.linalg.norm(y)), kinks=True)
