@@ -369,9 +369,18 @@ def run(
     with ExitStack() as stack, _as_in_a_run():
         if isinstance(store, str | Path):
             store = stack.enter_context(Store(Path(store)).writing())
+        elif not isinstance(store, TrialStore | None) or isinstance(store, type):
+            raise ConfigError(
+                f"store: must be a folder, or an object with the methods trials and add, not {store!r}"
+            )
         workers = 1
         if isinstance(executor, Executor):
             workers = usable_cores()
+        elif executor is not None and (not isinstance(executor, int) or isinstance(executor, bool)):
+            raise ConfigError(
+                "executor: must be a number of worker processes or a concurrent.futures.Executor, "
+                f"not {executor!r}"
+            )
         elif executor is not None:
             workers, executor = executor, make_executor(executor, plan.plugin_files)
             stack.enter_context(executor)

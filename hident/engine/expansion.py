@@ -194,7 +194,8 @@ class Expansion:
             for message, where in found.items():
                 first = where[0]
                 labels = ", ".join(f"{axis} {label}" for axis, label in first.unit.labels.items())
-                more = f" and {len(where) - 1} cases more" if len(where) > 1 else ""
+                others = len(where) - 1
+                more = f" and {others} {'case' if others == 1 else 'cases'} more" if others else ""
                 case = f" at {labels}{more}" if len(found) > 1 else ""
                 problem = Problem(
                     ("metrics", metric), f"the metric '{first.unit.metrics[metric].kind}'{case} {message}"

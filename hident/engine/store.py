@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -47,6 +47,7 @@ class Trial:
     failure: str = ""
 
 
+@runtime_checkable
 class TrialStore(Protocol):
     """What a run needs of a store."""
 

@@ -6,7 +6,7 @@ import copy
 import hashlib
 import json
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from typing import Annotated, Any, TypeVar
@@ -17,7 +17,7 @@ from pydantic import Field, ValidationInfo, field_validator
 from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, Spec, canonical
 from hident.errors import EstimationError, TrialFailed
-from hident.estimators.base import Batched, EstimatorSpec
+from hident.estimators.base import Batched, EstimatorSpec, is_batched
 from hident.metrics.base import MetricSpec
 from hident.records import Estimate, Part, Record
 from hident.signals.base import ExcitationSpec, NoiseSpec, Stretch
@@ -30,6 +30,8 @@ FAILURES = (TrialFailed, np.linalg.LinAlgError, ArithmeticError)
 """What an estimate, a metric or a simulation may raise as its result: the trial counts as failed."""
 _PERTURBATION = 4
 """Spawn key of the perturbation's draws; those of the streams' roles are smaller."""
+_CHECKED = 1
+"""The trial of which a batch is held against ``fit``: the first chunk of a run holds trial 0 alone."""
 OF_METRIC = "metric: "
 """How the reason begins where the estimate was made and a metric failed on it."""
 
@@ -147,7 +149,8 @@ def _simulated(data: Data, seed: int, trial: int) -> Record:
 def _measured(
     data: Data, simulated: Record, noise: np.random.Generator, seed: int, trial: int, perturbation: int
 ) -> Record:
-    u, y = simulated.u, simulated.y
+    # A noise that works in place has its own.
+    u, y = simulated.u, simulated.y.copy()
     for spec in data.noise:
         y = spec.measure(y, noise)
     if perturbation:
@@ -267,22 +270,58 @@ def _estimates(
     """The estimates from the records, or what was raised."""
     failed = {trial: record for trial, record in records.items() if isinstance(record, BaseException)}
     sound = {trial: record for trial, record in records.items() if isinstance(record, Record)}
-    if isinstance(job.estimator, Batched) and sound:
-        together = _attempt(partial(_together, job.estimator, [*sound.values()]))
-        # An error that ends them all is found again where each is taken by itself.
-        if not isinstance(together, BaseException):
-            return {**failed, **dict(zip(sound, together, strict=True))}
     alone = partial(estimate, data, job, seed=seed)
-    return {
-        **failed,
-        **{trial: _attempt(partial(alone, record=record, trial=trial)) for trial, record in sound.items()},
-    }
+
+    def apart(trials: Iterable[int]) -> dict[int, Estimate | BaseException]:
+        return {trial: _attempt(partial(alone, record=sound[trial], trial=trial)) for trial in trials}
+
+    if not (is_batched(job.estimator) and sound):
+        return {**failed, **apart(sound)}
+    together = _attempt(partial(_together, job.estimator, sound))
+    if not isinstance(together, BaseException):
+        wrong = _otherwise(together, apart({_CHECKED} & together.keys() if len(together) > 1 else ()))
+        return {**failed, **(dict.fromkeys(sound, wrong) if wrong else together)}
+    found = apart(sound)
+    if all(isinstance(one, Estimate) for one in found.values()):
+        # No record by itself explains the error.
+        return {**failed, **dict.fromkeys(sound, together)}
+    return {**failed, **found}
 
 
-def _together(estimator: Batched, records: Sequence[Record]) -> list[Estimate | EstimationError]:
-    for record in records:
+def _together(estimator: Batched, records: Mapping[int, Record]) -> dict[int, Estimate | EstimationError]:
+    for record in records.values():
         estimator.require_experiments(record)
-    return estimator.fit_many(records)
+    found = estimator.fit_many([*records.values()])
+    kinds = {type(one).__name__ for one in found if not isinstance(one, Estimate | EstimationError)}
+    if kinds or len(found) != len(records):
+        named = f"fit_many of {type(estimator).__name__}"
+        raise TypeError(
+            f"{named} gave a {min(kinds)} where an Estimate or an EstimationError belongs"
+            if kinds
+            else f"{named} gave {len(found)} estimates for {len(records)} records"
+        )
+    return dict(zip(records, found, strict=True))
+
+
+def _otherwise(
+    together: Mapping[int, Estimate | EstimationError], apart: Mapping[int, Estimate | BaseException]
+) -> ValueError | None:
+    """What is wrong where ``fit_many`` gives other values of a record than ``fit``."""
+    for trial, by_itself in apart.items():
+        one, other = (
+            {name: float(value) for name, value in found.values.items()}
+            if isinstance(found, Estimate)
+            else {}
+            for found in (together[trial], by_itself)
+        )
+        for name in one.keys() | other.keys():
+            if one.get(name) != other.get(name) and not (
+                np.isnan(one.get(name, 0)) and np.isnan(other.get(name, 0))
+            ):
+                return ValueError(
+                    f"fit_many gives {name} = {one.get(name)} for trial {trial}, and fit {other.get(name)}"
+                )
+    return None
 
 
 def _scores(

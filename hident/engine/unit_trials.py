@@ -12,6 +12,7 @@ from hident.engine.expansion import Unit
 from hident.engine.results import Series, grouped
 from hident.engine.store import Trial, TrialStore
 from hident.engine.trial import OF_METRIC
+from hident.errors import StoreError
 
 
 class _Scores:
@@ -24,6 +25,11 @@ class _Scores:
         self._failures: dict[int, str] = {}
 
     def put(self, trial: Trial) -> None:
+        if not (0 <= trial.trial < len(self.there) and len(trial.values) == len(self.labels)):
+            raise StoreError(
+                f"the store gives trial {trial.trial} with {len(trial.values)} values, where trials 0 to "
+                f"{len(self.there) - 1} have {len(self.labels)}: {', '.join(self.labels)}"
+            )
         self.values[:, trial.trial] = trial.values
         self.there[trial.trial] = True
         if trial.failure:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, Literal, Protocol, runtime_checkable
+from typing import ClassVar, Literal, Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 
@@ -124,10 +124,7 @@ class EstimatorSpec(Component):
 
 @runtime_checkable
 class Batched(Protocol):
-    """An estimator that estimates from many records at once, faster than one by one.
-
-    It draws nothing.
-    """
+    """An estimator that estimates from many records at once, faster than one by one (:func:`is_batched`)."""
 
     def require_experiments(self, record: Record) -> None:
         """As every estimator."""
@@ -135,9 +132,20 @@ class Batched(Protocol):
     def fit_many(self, records: Sequence[Record]) -> list[Estimate | EstimationError]:
         """What ``fit`` gives or raises for each record, to the last bit, however many there are.
 
-        Those of one fixed input share the array ``u``. Any other error than EstimationError may be raised:
-        each record is then fitted by itself.
+        Those of one fixed input share the array ``u``. Where it raises, each record is fitted by itself; if
+        that succeeds, the error is the method's own, and all these trials have crashed.
         """
+
+
+def is_batched(estimator: EstimatorSpec) -> TypeGuard[Batched]:
+    """Whether a run calls ``fit_many``: nothing is drawn, and no subclass writes a ``fit`` over it."""
+    if estimator.draws() or not isinstance(estimator, Batched):
+        return False
+    order = type(estimator).__mro__
+    fit, fit_many = (
+        next(i for i, cls in enumerate(order) if name in vars(cls)) for name in ("fit", "fit_many")
+    )
+    return fit_many <= fit
 
 
 def require_finite(y: Array) -> None:

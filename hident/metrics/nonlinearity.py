@@ -104,7 +104,9 @@ class IntegratedSquaredError(_OnInterval):
             # In increasing order, in which an estimate is evaluated with fewer jumps through memory.
             u = record.u[record.order]
             u = u[np.searchsorted(u, low) : np.searchsorted(u, high, "right")]
-            return u, _finite(truth(u), u, "true")
+            true = _finite(truth(u), u, "true")
+            u.flags.writeable = true.flags.writeable = False
+            return u, true
 
         u, true = record.once(("truth at the samples", self.interval), samples)
         error = _finite(needed(estimate.nonlinearity)(u), u, "estimated") - true

@@ -143,7 +143,8 @@ class Beginnings:
             self._drawn = {n: _normals(*_normal_starts([*self._rows]), n)}
         row = slice(at := self._rows[state], at + 1)
         drawn, cong, shr3 = self._drawn[n]
-        return drawn[row], cong[row], shr3[row]
+        # What is drawn is the caller's to write to.
+        return drawn[row].copy(), cong[row], shr3[row]
 
 
 def normals(states: Sequence[int], n: int) -> Array:

@@ -9,8 +9,8 @@ import yaml
 
 import hident as hi
 from hident.config.spec import component
-from hident.engine.store import MemoryStore, Store
-from hident.errors import ConfigError, TrialsCrashed
+from hident.engine.store import MemoryStore, Store, Trial
+from hident.errors import ConfigError, StoreError, TrialsCrashed
 from hident.estimators.base import EstimatorSpec
 from hident.signals.streams import NumpyStreams
 
@@ -100,6 +100,33 @@ def test_a_store_is_kept_and_no_other_file_is_written(results, tmp_path, monkeyp
     hi.write(first, "out/experiment")
     assert hi.status(MADE) == {"stored": 16, "of": 16, "outputs": "up to date"}
     assert hi.compare("out", "out").differences == ()
+
+
+@pytest.mark.parametrize("store", [3, {}, MemoryStore, object()])
+def test_what_is_no_store_is_refused_before_the_run(store):
+    with pytest.raises(
+        hi.ConfigError, match=r"^store: must be a folder, or an object with the methods trials"
+    ):
+        hi.run(MADE, store=store)
+
+
+@pytest.mark.parametrize("executor", ["two", True, object(), 1.5])
+def test_what_is_no_executor_is_refused_before_the_run(executor):
+    with pytest.raises(hi.ConfigError, match=r"^executor: must be a number of worker processes"):
+        hi.run(MADE, executor=executor)
+
+
+@pytest.mark.parametrize(
+    ("trial", "said"),
+    [(Trial(-1, np.zeros(1)), "trial -1 with 1"), (Trial(0, np.zeros(2)), "trial 0 with 2")],
+)
+def test_a_store_that_gives_what_was_not_asked_for_is_told_so(trial, said):
+    class Odd(MemoryStore):
+        def trials(self, key, below):
+            return [trial]
+
+    with pytest.raises(StoreError, match=f"^the store gives {said} values, where trials 0 to 3 have 1: "):
+        hi.run(MADE, store=Odd())
 
 
 def test_an_object_that_keeps_trials_is_a_store(results):

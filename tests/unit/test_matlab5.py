@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy import optimize, stats
 
 from hident.signals import matlab5
-from hident.signals.matlab5 import MatlabStream, Rand, Randn, normals, twister
+from hident.signals.matlab5 import Beginnings, MatlabStream, Rand, Randn, normals, twister
 
 STATES = [0, 1, 2, 100, 31415926, 2**31, 2**32 - 1]
 MASK32 = 2**32 - 1
@@ -244,6 +244,14 @@ def test_many_states_at_once_are_the_single_ones():
     expected = [Randn(state).standard_normal(300) for state in states]
     np.testing.assert_array_equal(normals(states, 300), expected)
     assert normals(states, 0).shape == (5, 0)
+
+
+def test_what_is_drawn_belongs_to_the_caller():
+    beginnings = Beginnings([4, 5])
+    first = Randn(4, beginnings).standard_normal(9)
+    kept = first.copy()
+    first *= 2.0
+    np.testing.assert_array_equal(Randn(4, beginnings).standard_normal(9), kept)
 
 
 def test_a_short_reserve_of_words_is_made_longer(monkeypatch):

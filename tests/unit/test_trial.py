@@ -274,11 +274,97 @@ def test_an_estimator_of_many_records_is_asked_for_all_and_fails_where_each_by_i
     outcomes = run_trials(
         data, [Job(Together(limit=limit, crash=crash), _A)], {t: [0] for t in range(6)}, seed=7
     )
-    assert Together.calls == ([6, 1, 1, 1, 1, 1, 1] if crash else [6])
+    # Of the others, one is held against fit.
+    assert Together.calls == ([6, 1, 1, 1, 1, 1, 1] if crash else [6, 1])
     for outcome, y in zip(outcomes, last, strict=True):
         failure = "" if y <= limit else "ZeroDivisionError: " if crash else f"{y:g} is too large"
         assert outcome.scores[0].failure == failure
         assert outcome.values[0] == y if y <= limit else np.isnan(outcome.values[0])
+
+
+class Doubled(Together):
+    """Overrides ``fit`` alone."""
+
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
+        return Estimate(values={"a_1": 2.0 * super().fit(record).values["a_1"]})
+
+
+class Drawing(Together):
+    """Draws, and says so."""
+
+    def draws(self) -> bool:
+        return True
+
+
+class Wrong(Together):
+    """Has a faulty ``fit_many``."""
+
+    how: str
+
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
+        return Estimate(values={"a_1": float(record.y[-1])})
+
+    def fit_many(self, records: Sequence[Record]) -> list[Estimate | EstimationError]:
+        found: list[Any] = [self.fit(record) for record in records]
+        match self.how:
+            case "few":
+                return found[1:]
+            case "kind":
+                return [*found[1:], 0.5]
+            case "other":
+                return [Estimate(values={"a_1": one.values["a_1"] * (1.0 + 1e-15)}) for one in found]
+            case "raises":
+                raise AttributeError("a slip")
+        raise AssertionError
+
+
+def test_a_fit_that_a_subclass_writes_is_used_and_so_is_that_of_one_that_draws(lab: Lab) -> None:
+    data = _plan(lab).units[0].data
+    last = [generate(data, 7, trial).y[-1] for trial in range(4)]
+    Together.calls.clear()
+    wanted = {trial: [0, 1] for trial in range(4)}
+    outcomes = run_trials(data, [Job(Doubled(), _A), Job(Drawing(), _A)], wanted, seed=7)
+    assert [o.values[0] for o in outcomes] == [factor * y for y in last for factor in (2.0, 1.0)]
+    assert set(Together.calls) == {1}
+
+
+@pytest.mark.parametrize(
+    ("how", "message"),
+    [
+        ("few", "TypeError: fit_many of Wrong gave 3 estimates for 4 records"),
+        ("kind", "TypeError: fit_many of Wrong gave a float where an Estimate or an EstimationError belongs"),
+        ("other", "ValueError: fit_many gives a_1 = "),
+        ("raises", "AttributeError: a slip"),
+    ],
+)
+def test_a_faulty_fit_many_is_a_crash_of_its_estimator_alone(lab: Lab, how: str, message: str) -> None:
+    data = _plan(lab).units[0].data
+    wanted = {trial: [0, 1] for trial in range(4)}
+    outcomes = run_trials(data, [Job(Wrong(how=how), _A), Job(Together(), _A)], wanted, seed=7)
+    for outcome in outcomes:
+        score = outcome.scores[0]
+        if outcome.job:
+            assert np.isfinite(score.values).all()
+        else:
+            assert score.crash
+            assert score.failure.startswith(message)
+
+
+@component("noise", "in_place")
+class InPlace(NoiseSpec):
+    """Adds to the output where it stands."""
+
+    def measure(self, output: Array, rng: np.random.Generator) -> Array:
+        output += rng.standard_normal(len(output))
+        return output
+
+
+def test_a_noise_that_works_in_place_leaves_the_other_trials_of_a_fixed_input_alone(lab: Lab) -> None:
+    fixed = {"streams": NumpyStreams(fixed=("input",)), "noise": (InPlace(), InPlace())}
+    data = _plan(lab).units[0].data.model_copy(update=fixed)
+    alone = [generate(data, 7, trial).y[-1] for trial in range(6)]
+    outcomes = run_trials(data, [Job(Together(), _A)], {t: [0] for t in range(6)}, seed=7)
+    assert [outcome.values[0] for outcome in outcomes] == alone
 
 
 def test_trials_of_a_fixed_input_share_it_and_simulate_it_once(

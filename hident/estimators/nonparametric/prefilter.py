@@ -101,7 +101,9 @@ class FilteredRecord(Record):
         kept = np.ones(len(record), dtype=bool)
         for part in record.experiments:
             kept[part.start : min(part.start + len(linear.a), part.stop)] = False
-        return cls(record.u[kept], filtered, whole=record, kept=kept)
+        u = record.u[kept]
+        u.flags.writeable = filtered.flags.writeable = False
+        return cls(u, filtered, whole=record, kept=kept)
 
     @cached_property
     def order(self) -> NDArray[np.intp]:
