@@ -309,15 +309,13 @@ def _otherwise(
     """What is wrong where ``fit_many`` gives other values of a record than ``fit``."""
     for trial, by_itself in apart.items():
         one, other = (
-            {name: float(value) for name, value in found.values.items()}
+            {name: repr(float(value)) for name, value in found.values.items()}
             if isinstance(found, Estimate)
             else {}
             for found in (together[trial], by_itself)
         )
-        for name in one.keys() | other.keys():
-            if one.get(name) != other.get(name) and not (
-                np.isnan(one.get(name, 0)) and np.isnan(other.get(name, 0))
-            ):
+        for name in {**one, **other}:
+            if one.get(name) != other.get(name):
                 return ValueError(
                     f"fit_many gives {name} = {one.get(name)} for trial {trial}, and fit {other.get(name)}"
                 )
