@@ -224,11 +224,22 @@ def run_trials(
     """
     scores: dict[tuple[int, int], tuple[Score, ...]] = {}
     with np.errstate(all="ignore"):
-        records = _records(data, seed, [*wanted], perturbation)
+        made = _records(data, seed, [*wanted], perturbation)
+        records = {trial: record for trial, record in made.items() if isinstance(record, Record)}
+        failed = {trial: error for trial, error in made.items() if isinstance(error, BaseException)}
         for index, job in enumerate(jobs):
-            of_job = {trial: records[trial] for trial, indices in wanted.items() if index in indices}
-            for trial, found in _estimates(data, job, of_job, seed).items():
-                scores[trial, index] = _scores(job.metrics, found, records[trial])
+            wanting = [trial for trial, indices in wanted.items() if index in indices]
+            found = _estimates(
+                data, job, {trial: records[trial] for trial in wanting if trial in records}, seed
+            )
+            for trial in wanting:
+                one = found[trial] if trial in found else failed[trial]
+                scores[trial, index] = tuple(
+                    _score(metric, one, records[trial])
+                    if isinstance(one, Estimate)
+                    else _scored_as(one, metric)
+                    for metric in job.metrics
+                )
     return [
         Outcome(index, trial, scores[trial, index]) for trial, indices in wanted.items() for index in indices
     ]
@@ -265,27 +276,24 @@ def _records(
 
 
 def _estimates(
-    data: Data, job: Job, records: Mapping[int, Record | BaseException], seed: int
+    data: Data, job: Job, records: Mapping[int, Record], seed: int
 ) -> dict[int, Estimate | BaseException]:
     """The estimates from the records, or what was raised."""
-    failed = {trial: record for trial, record in records.items() if isinstance(record, BaseException)}
-    sound = {trial: record for trial, record in records.items() if isinstance(record, Record)}
     alone = partial(estimate, data, job, seed=seed)
 
     def apart(trials: Iterable[int]) -> dict[int, Estimate | BaseException]:
-        return {trial: _attempt(partial(alone, record=sound[trial], trial=trial)) for trial in trials}
+        return {trial: _attempt(partial(alone, record=records[trial], trial=trial)) for trial in trials}
 
-    if not (is_batched(job.estimator) and sound):
-        return {**failed, **apart(sound)}
-    together = _attempt(partial(_together, job.estimator, sound))
+    if not (is_batched(job.estimator) and records):
+        return apart(records)
+    together = _attempt(partial(_together, job.estimator, records))
     if not isinstance(together, BaseException):
         wrong = _otherwise(together, apart({_CHECKED} & together.keys() if len(together) > 1 else ()))
-        return {**failed, **(dict.fromkeys(sound, wrong) if wrong else together)}
-    found = apart(sound)
-    if all(isinstance(one, Estimate) for one in found.values()):
-        # No record by itself explains the error.
-        return {**failed, **dict.fromkeys(sound, together)}
-    return {**failed, **found}
+        return dict.fromkeys(records, wrong) if wrong else {**together}
+    found = apart(records)
+    # Where no record by itself explains the error, it is that of fit_many.
+    own = all(isinstance(one, Estimate) for one in found.values())
+    return dict.fromkeys(records, together) if own else found
 
 
 def _together(estimator: Batched, records: Mapping[int, Record]) -> dict[int, Estimate | EstimationError]:
@@ -320,16 +328,6 @@ def _otherwise(
                     f"fit_many gives {name} = {one.get(name)} for trial {trial}, and fit {other.get(name)}"
                 )
     return None
-
-
-def _scores(
-    metrics: Sequence[MetricSpec], found: Estimate | BaseException, record: Record | BaseException
-) -> tuple[Score, ...]:
-    if isinstance(record, BaseException):
-        return tuple(_scored_as(record, metric) for metric in metrics)
-    if isinstance(found, BaseException):
-        return tuple(_scored_as(found, metric) for metric in metrics)
-    return tuple(_score(metric, found, record) for metric in metrics)
 
 
 def _score(metric: MetricSpec, found: Estimate, record: Record) -> Score:
