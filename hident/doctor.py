@@ -101,10 +101,10 @@ def _store(folder: Path) -> Iterator[Finding]:
         return
     try:
         size = store.path.stat().st_size
-        # Its writer looks for damage first.
-        with store.writing():
-            pass
-        yield Finding("store", f"{store.path}: {store.count()} trials, {size / 1e6:.1f} MB, sound")
+        store.check()
+        with store.reading() as reader:
+            found = f"{store.path}: {reader.count()} scores, {size / 1e6:.1f} MB, sound"
+        yield Finding("store", found)
     except StoreBusy:
         yield Finding("store", f"{store.path}: in use by another run, so not examined", "warning")
     except StoreError as error:

@@ -20,6 +20,7 @@ import pytest
 import yaml
 from hypothesis import HealthCheck, settings
 
+from hident.engine.blocks import Block
 from hident.engine.executors import pin_blas
 from tests.forked import GUARD_SECONDS, Forked, run_forked
 
@@ -184,10 +185,15 @@ class Lab:
 
     def trials(self) -> dict[tuple[str, str, int], bytes]:
         """All stored values by estimator, case and trial, to the last bit."""
-        query = "SELECT described, trial, data FROM trials JOIN units USING (key) ORDER BY key, trial"
+        query = "SELECT described, data FROM blocks JOIN units USING (key) ORDER BY key, first"
         with closing(sqlite3.connect(self.store)) as connection:
-            found = [(json.loads(text), trial, data) for text, trial, data in connection.execute(query)]
-        return {(unit["estimator"], str(unit["case"]), trial): data for unit, trial, data in found}
+            found = [(json.loads(text), Block.decoded(data)) for text, data in connection.execute(query)]
+        return {
+            (unit["estimator"], str(unit["case"]), trial): values.tobytes()
+            for unit, block in found
+            if block is not None
+            for trial, values in zip(block.scores.trials.tolist(), block.scores.values, strict=True)
+        }
 
     def forget(self) -> None:
         """Remove the stored trials and the outputs."""

@@ -90,6 +90,8 @@ class Bench:
             with Store(self.store).writing(self.wait) as writer:
                 # Asked again, as another run may have held the store until now.
                 if outputs.state() != "up to date":
+                    if writer.mended:
+                        print(f"warning: {writer.mended}", file=sys.stderr)
                     start = time.perf_counter()
                     check_records(plan)
                     results = self._trials(plan, writer, plan.name, keep_going=keep_going)

@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import shutil
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hident.config.suggest import one_of
 from hident.engine.experiment import Plan
 from hident.engine.runner import complete, stored
-from hident.engine.store import Store
+from hident.engine.store import Reader, Store
 from hident.errors import ConfigError, Exit, StoreError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_OWN = ("estimator", "trial", "metric", "value", "failure")
+"""The columns of an export besides the axes."""
+_ROWS = 100_000
+"""The rows of an export that are in memory at once."""
 
 
 def print_status(plans: Sequence[Plan], out: Path, folder: Path) -> None:
@@ -25,7 +34,8 @@ def print_status(plans: Sequence[Plan], out: Path, folder: Path) -> None:
         done, wanted = sum(stored(plan, store)), plan.trials * len(plan.units)
         rows.append((plan.name, str(done), str(wanted), Outputs(plan, out / plan.name).state()))
     print_columns(rows)
-    print(f"{store.path}: {store.count()} scores in all")
+    with store.reading() as reader:
+        print(f"{store.path}: {reader.count()} scores in all")
 
 
 def print_comparison(ours: Path, reference: Path, rtol: float, *, complete: bool, partial: bool) -> Exit:
@@ -84,34 +94,13 @@ def print_diagnosis(store: Path, plugin_files: Sequence[Path]) -> Exit:
 
 def export(plan: Plan, folder: Path, file: Path) -> str:
     """Write the stored trials of a plan to CSV or Parquet; returns a line that says so."""
-    import pandas as pd
-
     if file.suffix not in (".csv", ".parquet"):
         raise ConfigError(f"{file}: the name must end in .csv or .parquet")
-    found = Store(folder).read({key for keys in plan.keys for key in keys.values()}, plan.trials)
-    rows: list[dict[str, Any]] = [
-        {
-            **unit.labels,
-            "estimator": unit.name,
-            "trial": trial.trial,
-            "metric": label,
-            "value": value,
-            "failure": trial.failure,
-        }
-        for unit, keys in zip(plan.units, plan.keys, strict=True)
-        for name, metric in unit.metrics.items()
-        for trial in found[keys[name]]
-        for label, value in zip(metric.labels(name), trial.values, strict=True)
-    ]
-    axes = [axis.name for axis in plan.axes]
-    data = pd.DataFrame(rows, columns=[*axes, "estimator", "trial", "metric", "value", "failure"])
     temporary = file.with_name(f".{file.name}.part")
     try:
-        if file.suffix == ".csv":
-            data.to_csv(temporary, index=False)
-        else:
-            # An axis may hold numbers and names, which a column of Parquet cannot.
-            data.astype(dict.fromkeys(axes, str)).to_parquet(temporary, index=False)
+        with Store(folder).reading() as reader:
+            rows = (_write_csv if file.suffix == ".csv" else _write_parquet)(temporary, _frames(plan, reader))
+            done = sum(complete(reader, keys.values(), plan.trials) for keys in plan.keys)
         temporary.replace(file)
     except ImportError:
         raise ConfigError("writing Parquet needs pyarrow: pip install 'hident[parquet]'") from None
@@ -119,10 +108,62 @@ def export(plan: Plan, folder: Path, file: Path) -> str:
         raise StoreError(f"{file} cannot be written: {(error.strerror or str(error)).lower()}") from None
     finally:
         temporary.unlink(missing_ok=True)
-    wanted = plan.trials * len(plan.units)
-    done = sum(complete(found, keys) for keys in plan.keys)
-    missing = "" if done == wanted else f"; {wanted - done} trials are not computed yet (hident run)"
-    return f"{file}: {len(data)} rows of {done} trials{missing}"
+    missing = plan.trials * len(plan.units) - done
+    said = f"; {missing} trials are not computed yet (hident run)" if missing else ""
+    return f"{file}: {rows} rows of {done} trials{said}"
+
+
+def _frames(plan: Plan, reader: Reader) -> Iterator[pd.DataFrame]:
+    """The stored trials, a row for each with its metric, some at a time."""
+    import pandas as pd
+
+    columns = [*(axis.name for axis in plan.axes), *_OWN]
+    rows: list[dict[str, Any]] = []
+    for unit, keys in zip(plan.units, plan.keys, strict=True):
+        for name, metric in unit.metrics.items():
+            for scores in reader.trials(keys[name], plan.trials):
+                rows += [
+                    {
+                        **unit.labels,
+                        "estimator": unit.name,
+                        "trial": trial,
+                        "metric": label,
+                        "value": value,
+                        "failure": scores.failures.get(trial, ""),
+                    }
+                    for trial, values in zip(scores.trials.tolist(), scores.values.tolist(), strict=True)
+                    for label, value in zip(metric.labels(name), values, strict=True)
+                ]
+                if len(rows) >= _ROWS:
+                    yield pd.DataFrame(rows, columns=columns)
+                    rows = []
+    yield pd.DataFrame(rows, columns=columns)
+
+
+def _write_csv(file: Path, frames: Iterable[pd.DataFrame]) -> int:
+    rows = 0
+    with file.open("w", encoding="utf-8", newline="") as out:
+        for frame in frames:
+            frame.to_csv(out, index=False, header=not rows, lineterminator="\n")
+            rows += len(frame)
+    return rows
+
+
+def _write_parquet(file: Path, frames: Iterable[pd.DataFrame]) -> int:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with ExitStack() as stack:
+        writer, rows = None, 0
+        for frame in frames:
+            # An axis may hold numbers and names, which a column of Parquet cannot.
+            axes = frame.columns[: -len(_OWN)]
+            table = pa.Table.from_pandas(frame.astype(dict.fromkeys(axes, str)), preserve_index=False)
+            if writer is None:
+                writer = stack.enter_context(pq.ParquetWriter(file, table.schema))
+            writer.write_table(table)
+            rows += len(frame)
+    return rows
 
 
 def print_columns(rows: Sequence[tuple[str, ...]]) -> None:

@@ -27,44 +27,44 @@ class Case:
 
     def chunks(self) -> Iterator[Chunk]:
         """What its units lack, in chunks that are judged by the trials that are finished."""
-        waiting = map(int, np.flatnonzero(np.any([u.trials_missing() for u in self.units], axis=0)))
-        while True:
+        waiting = np.flatnonzero(np.any([unit.trials_missing() for unit in self.units], axis=0))
+        while len(waiting):
             size = int(_SECONDS / self.seconds) if self.seconds else 1
-            trials = list(itertools.islice(waiting, max(1, min(size, _LARGEST))))
-            if not trials:
-                return
-            yield Chunk.of(self, trials)
+            trials, waiting = np.split(waiting, [max(1, min(size, _LARGEST))])
+            yield Chunk.of(self, trials.tolist())
+
+
+@dataclass
+class Task:
+    """A unit, some of its metrics, and the trials that lack just these."""
+
+    of: UnitTrials
+    metrics: tuple[str, ...]
+    trials: list[int]
 
 
 @dataclass
 class Chunk:
-    """Some trials of a case: each task is a unit with the metrics that some of them lack."""
+    """Some trials of a case, as tasks."""
 
     case: Case
-    tasks: list[tuple[UnitTrials, tuple[str, ...]]]
-    wanted: dict[int, list[int]]
-    """For each trial the tasks that it is for."""
+    trials: list[int]
+    tasks: list[Task]
 
     @classmethod
-    def of(cls, case: Case, trials: Iterable[int]) -> Chunk:
-        """What the case's units lack of the trials."""
-        places: dict[tuple[int, tuple[str, ...]], int] = {}
-        wanted = {
-            trial: [
-                places.setdefault((i, missing), len(places))
-                for i, unit in enumerate(case.units)
-                if (missing := unit.missing(trial))
-            ]
-            for trial in trials
-        }
-        return cls(case, [(case.units[i], missing) for i, missing in places], wanted)
+    def of(cls, case: Case, trials: list[int]) -> Chunk:
+        """What the case's units lack of the trials, which rise."""
+        tasks = [Task(unit, *lacks) for unit in case.units for lacks in unit.lacking(trials)]
+        return cls(case, trials, tasks)
 
     def jobs(self) -> list[Job]:
         """The tasks as a trial needs them."""
-        return [
-            Job(task.unit.estimator, tuple(task.unit.metrics[name] for name in names))
-            for task, names in self.tasks
-        ]
+        units = [(task.of.unit, task.metrics) for task in self.tasks]
+        return [Job(unit.estimator, tuple(unit.metrics[name] for name in names)) for unit, names in units]
+
+    def wanted(self) -> list[list[int]]:
+        """The trials of each job."""
+        return [task.trials for task in self.tasks]
 
 
 def all_chunks(units: Iterable[UnitTrials]) -> Iterator[Chunk]:
@@ -76,8 +76,8 @@ def all_chunks(units: Iterable[UnitTrials]) -> Iterator[Chunk]:
 
 
 def timed(
-    data: Data, jobs: Sequence[Job], wanted: dict[int, list[int]], seed: int, perturbation: int
+    data: Data, jobs: Sequence[Job], wanted: Sequence[Sequence[int]], seed: int, perturbation: int
 ) -> tuple[list[Outcome], float]:
-    """What the trials give, and the seconds that they took."""
+    """What the jobs give, and the seconds that they took."""
     start = time.perf_counter()
     return run_trials(data, jobs, wanted, seed, perturbation), time.perf_counter() - start

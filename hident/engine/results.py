@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -26,17 +25,30 @@ _NUMBER = re.compile(r"(?<![\w.])[+-]?(?:\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+|nan\b|
 STATISTICS = ("trials", "failed", "mean", "std", "se", "median", *QUANTILES)
 
 
-@dataclass(frozen=True, eq=False)
 class Series:
-    """One label of a metric of one unit over all trials; nan where the trial failed."""
+    """One label of a metric of one unit over all trials.
 
-    unit: Unit
-    metric: str
-    values: Array
-    reasons: tuple[tuple[str, int], ...] = ()
-    """Why trials failed: each kind of reason, with the number of its trials (see :func:`grouped`)."""
+    ``values`` may be a function that reads them: then they are read each time when they are asked for, so
+    that of very many trials a series at a time is in memory. ``reasons`` are the kinds of reasons why trials
+    failed, each with the number of its trials (see :func:`grouped`).
+    """
 
-    @cached_property
+    def __init__(
+        self,
+        unit: Unit,
+        metric: str,
+        values: Array | Callable[[], Array],
+        reasons: tuple[tuple[str, int], ...] = (),
+    ) -> None:
+        self.unit, self.metric, self.reasons = unit, metric, reasons
+        self._values = values
+
+    @property
+    def values(self) -> Array:
+        """The value of each trial; nan where it failed."""
+        return self._values() if callable(self._values) else self._values
+
+    @property
     def valid(self) -> Array:
         """The values of the trials that did not fail; all the first where they differ by rounding only."""
         return _valid(self.values)
@@ -107,19 +119,26 @@ def grouped(reasons: Iterable[str]) -> tuple[tuple[str, int], ...]:
     >>> grouped(["stopped at t = 3", "singular", "stopped at t = 4.5"])
     (('stopped at t = ...', 2), ('singular', 1))
     """
-    kinds: dict[str, Counter[str]] = {}
-    for text, count in Counter(reasons).items():
-        kinds.setdefault(_NUMBER.sub("\0", text), Counter())[text] = count
-    shown = [(_in_common(tuple(texts)), texts.total()) for texts in kinds.values()]
-    return tuple(sorted(shown, key=lambda kind: -kind[1]))
+    kinds: dict[str, _Kind] = {}
+    for text in reasons:
+        words = _NUMBER.split(text)
+        kinds.setdefault("\0".join(words), _Kind(words)).add(_NUMBER.findall(text))
+    return tuple(sorted(((kind.text(), kind.count) for kind in kinds.values()), key=lambda kind: -kind[1]))
 
 
-def _in_common(texts: Sequence[str]) -> str:
-    """Texts that differ in their numbers only, as one text."""
-    words = _NUMBER.split(texts[0])
-    numbers = [set(column) for column in zip(*map(_NUMBER.findall, texts), strict=True)]
-    shown = [found.pop() if len(found) == 1 else "..." for found in numbers]
-    return "".join(itertools.chain(*itertools.zip_longest(words, shown, fillvalue="")))
+class _Kind:
+    """Reasons that differ in their numbers only."""
+
+    def __init__(self, words: Sequence[str]) -> None:
+        self._words, self._numbers, self.count = words, [""] * (len(words) - 1), 0
+
+    def add(self, numbers: Sequence[str]) -> None:
+        pairs = zip(self._numbers, numbers, strict=True)
+        self._numbers = [*numbers] if not self.count else [a if a == b else "..." for a, b in pairs]
+        self.count += 1
+
+    def text(self) -> str:
+        return "".join(itertools.chain(*itertools.zip_longest(self._words, self._numbers, fillvalue="")))
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import numpy as np
+
 from hident.engine.chunks import Chunk, all_chunks, timed
 from hident.engine.executors import SerialExecutor
 from hident.engine.experiment import Plan, Unit
 from hident.engine.results import Results
-from hident.engine.store import MemoryStore, Store, Trial, TrialStore
+from hident.engine.scores import Scores
+from hident.engine.store import MemoryStore, Reader, Store, TrialStore
 from hident.engine.trial import Outcome
 from hident.engine.unit_trials import UnitTrials
 from hident.errors import TrialsCrashed
 
 _POLL_SECONDS = 0.1
+_HELD = 4_000_000
+"""How many numbers of a run are held in memory; of more, a series at a time is read when it is asked for."""
 
 
 class Progress(Protocol):
@@ -110,7 +115,11 @@ class _Run:
         self._plan, self._store, self._kept = plan, store, kept
         self._executor, self._workers = executor, workers
         self._keep_going, self._progress = keep_going, progress
-        self._units = [UnitTrials(*of, plan.trials) for of in zip(plan.units, plan.keys, strict=True)]
+        numbers = plan.trials * sum(len(unit.metric_labels) for unit in plan.units)
+        self._units = [
+            UnitTrials(*of, plan.trials, store, held=numbers <= _HELD)
+            for of in zip(plan.units, plan.keys, strict=True)
+        ]
         # Made one by one, as they are asked for.
         self._chunks = all_chunks(self._units)
         self._pending: dict[Future[tuple[list[Outcome], float]], Chunk] = {}
@@ -118,8 +127,9 @@ class _Run:
 
     def results(self) -> Results:
         """Read what is stored, compute the rest."""
+        self._store.add(self._described(), ())
         for unit in self._units:
-            unit.read(self._store)
+            unit.read()
         self._progress.start(
             len(self._units) * self._plan.trials, sum(unit.complete() for unit in self._units)
         )
@@ -132,6 +142,14 @@ class _Run:
         if self._crashes:
             raise CrashReport(self._crashes, kept=self._kept)
         return Results(self._plan, tuple(series for unit in self._units for series in unit.series()))
+
+    def _described(self) -> dict[str, Any]:
+        """What the keys stand for."""
+        return {
+            key: {"config": self._plan.name, "estimator": unit.name, "case": unit.labels, "metric": metric}
+            for unit, keys in zip(self._plan.units, self._plan.keys, strict=True)
+            for metric, key in keys.items()
+        }
 
     def _compute(self) -> None:
         """Go on until nothing is missing, or a crash or Ctrl-C ends it."""
@@ -154,7 +172,7 @@ class _Run:
             if chunk is None:
                 return
             of = self._plan.seed, self._plan.perturbation
-            future = self._executor.submit(timed, chunk.case.data, chunk.jobs(), chunk.wanted, *of)
+            future = self._executor.submit(timed, chunk.case.data, chunk.jobs(), chunk.wanted(), *of)
             self._pending[future] = chunk
 
     def _collect(self) -> None:
@@ -163,7 +181,7 @@ class _Run:
         for future in sorted(done, key=lambda future: future.exception() is not None):
             outcomes, seconds = future.result()
             chunk = self._pending.pop(future)
-            chunk.case.seconds = seconds / len(chunk.wanted)
+            chunk.case.seconds = seconds / len(chunk.trials)
             self._keep(chunk, outcomes)
 
     def _stop(self) -> None:
@@ -176,30 +194,19 @@ class _Run:
             self._collect()
 
     def _keep(self, chunk: Chunk, outcomes: Sequence[Outcome]) -> None:
-        described: dict[str, Any] = {}
-        rows: list[tuple[str, Trial]] = []
+        rows: list[tuple[str, Scores]] = []
         finished = 0
-        for outcome in outcomes:
-            task, names = chunk.tasks[outcome.job]
-            crash = None
-            for name, score in zip(names, outcome.scores, strict=True):
-                if score.crash:
-                    crash = crash or Crash(task.unit, outcome.trial, score.failure, score.crash)
-                    continue
-                trial = Trial(outcome.trial, score.values, score.failure)
-                described[task.keys[name]] = _described(self._plan, task.unit, name)
-                rows.append((task.keys[name], trial))
-                task.put(name, trial)
-            if crash:
-                self._crashes.append(crash)
-            else:
-                finished += 1
-        self._store.add(described, rows)
+        for task, outcome in zip(chunk.tasks, outcomes, strict=True):
+            unit = task.of.unit
+            for name, scores in zip(task.metrics, outcome.scores, strict=True):
+                rows.append((task.of.keys[name], scores))
+                task.of.put(name, scores)
+            self._crashes += [
+                Crash(unit, trial, *outcome.crashes[trial]) for trial in sorted(outcome.crashes)
+            ]
+            finished += len(task.trials) - len(outcome.crashes)
+        self._store.add({}, rows)
         self._progress.advance(finished)
-
-
-def _described(plan: Plan, unit: Unit, metric: str) -> dict[str, Any]:
-    return {"config": plan.name, "estimator": unit.name, "case": unit.labels, "metric": metric}
 
 
 @contextmanager
@@ -274,10 +281,16 @@ class WorkerEnded(TrialsCrashed):
 
 def stored(plan: Plan, store: Store) -> list[int]:
     """For each unit, how many of its trials the store holds with the scores of all metrics."""
-    found = store.read({key for keys in plan.keys for key in keys.values()}, plan.trials)
-    return [complete(found, keys) for keys in plan.keys]
+    with store.reading() as reader:
+        return [complete(reader, keys.values(), plan.trials) for keys in plan.keys]
 
 
-def complete(found: Mapping[str, Iterable[Trial]], keys: Mapping[str, str]) -> int:
-    """How many trials are found under every one of a unit's keys."""
-    return len(set.intersection(*({trial.trial for trial in found[key]} for key in keys.values())))
+def complete(store: Reader, keys: Iterable[str], trials: int) -> int:
+    """How many trials a store holds under every one of a unit's keys."""
+    there = np.ones(trials, dtype=bool)
+    for key in keys:
+        of_key = np.zeros(trials, dtype=bool)
+        for scores in store.trials(key, trials):
+            of_key[scores.trials] = True
+        there &= of_key
+    return int(there.sum())

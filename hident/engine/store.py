@@ -1,81 +1,82 @@
-"""The trials store: one SQLite file that keeps every score ever computed; or one in memory for a single use.
+"""The trials store: one SQLite file that keeps every score ever computed; or one in memory, for one use.
 
-A row is what one metric gave in one trial of one unit: keyed by data, estimator and metric (see
-:meth:`hident.engine.expansion.Unit.keys`) and the trial's number. One process writes, in transactions of one
-chunk each, so that a kill loses at most the chunks in flight. Each row holds a checksum: a damaged row
-counts as not computed.
+A row is a block (:mod:`hident.engine.blocks`): what one metric gave in some trials of one unit, keyed by
+data, estimator and metric (see :meth:`hident.engine.expansion.Unit.keys`). One process writes, in
+transactions of one chunk each, so that a kill loses at most the chunks in flight. Each block holds its
+checksum: a damaged one counts as not computed. Where the file itself is damaged, the next writer saves the
+blocks that it still holds into a new one.
 """
 
 from __future__ import annotations
 
 import errno
+import itertools
 import json
 import sqlite3
-import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
-import numpy as np
 from filelock import FileLock, Timeout
 
-from hident.arrays import Array
+from hident.engine.blocks import Block, blocks_in, blocks_of
+from hident.engine.scores import Scores
 from hident.errors import StoreBusy, StoreError
 
-_FORMAT = 2
+_FORMAT = 3
+# Blocks must fit into a page, so that each stands in one piece where pages of the file are damaged.
 _SCHEMA = f"""
+PRAGMA page_size = 65536;
+PRAGMA journal_mode = WAL;
 BEGIN;
-CREATE TABLE units (key TEXT PRIMARY KEY, described TEXT NOT NULL) WITHOUT ROWID;
-CREATE TABLE trials (
-    key TEXT NOT NULL, trial INTEGER NOT NULL, data BLOB NOT NULL, failure TEXT NOT NULL,
-    checksum INTEGER NOT NULL, PRIMARY KEY (key, trial)
-) WITHOUT ROWID;
+CREATE TABLE units (key TEXT PRIMARY KEY, described TEXT NOT NULL);
+CREATE TABLE blocks (
+    key TEXT NOT NULL, first INTEGER NOT NULL, count INTEGER NOT NULL, failed INTEGER NOT NULL,
+    data BLOB NOT NULL
+);
+CREATE INDEX places ON blocks (key, first, count, failed);
 PRAGMA user_version = {_FORMAT};
 COMMIT;
 """
+_INSERT = "INSERT INTO blocks VALUES (?, ?, ?, ?, ?)"
+_CORRUPT = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """A stored trial of a key: a value for each label of the metric, and why it failed, if it did."""
-
-    trial: int
-    values: Array
-    failure: str = ""
 
 
 @runtime_checkable
 class TrialStore(Protocol):
     """What a run needs of a store."""
 
-    def trials(self, key: str, below: int) -> Iterable[Trial]:
-        """The stored trials of a key with numbers under ``below``, in order."""
+    def trials(self, key: str, below: int) -> Iterable[Scores]:
+        """The stored scores of a key in trials with numbers under ``below``, in order."""
 
-    def add(self, units: Mapping[str, Any], trials: Iterable[tuple[str, Trial]]) -> None:
-        """Keep trials by their keys, and what each key stands for."""
+    def add(self, units: Mapping[str, Any], scores: Iterable[tuple[str, Scores]]) -> None:
+        """Keep scores by their keys, and what each key stands for."""
 
 
 class MemoryStore:
     """A store in memory, which writes no file."""
 
     def __init__(self) -> None:
-        self._trials: dict[str, dict[int, Trial]] = {}
+        self._scores: dict[str, list[Scores]] = {}
 
-    def trials(self, key: str, below: int) -> list[Trial]:
-        """The stored trials of a key with numbers under ``below``, in order."""
-        return [trial for number, trial in sorted(self._trials.get(key, {}).items()) if number < below]
+    def trials(self, key: str, below: int) -> list[Scores]:
+        """The stored scores of a key in trials with numbers under ``below``, in order."""
+        found = sorted(self._scores.get(key, ()), key=lambda scores: int(scores.trials[0]))
+        return [scores.below(below) for scores in found if scores.trials[0] < below]
 
-    def add(self, units: Mapping[str, Any], trials: Iterable[tuple[str, Trial]]) -> None:
-        """Keep trials by their keys; what the keys stand for is not asked for again."""
-        for key, trial in trials:
-            self._trials.setdefault(key, {})[trial.trial] = trial
+    def add(self, units: Mapping[str, Any], scores: Iterable[tuple[str, Scores]]) -> None:
+        """Keep scores by their keys; what the keys stand for is not asked for again."""
+        for key, found in scores:
+            self._scores.setdefault(key, []).extend(found.runs())
 
 
-def _checksum(key: str, trial: int, data: bytes, failure: str) -> int:
-    return zlib.crc32(data, zlib.crc32(f"{key} {trial} {failure} ".encode()))
+class Count(NamedTuple):
+    """How many trials of a key are stored, and how many of them failed."""
+
+    trials: int
+    failed: int
 
 
 class Store:
@@ -97,11 +98,55 @@ class Store:
     def writing(self, wait: float = 0.0) -> Iterator[Writer]:
         """Hold the store for writing, after waiting at most ``wait`` seconds for another run.
 
+        A damaged file is mended first: :attr:`Writer.mended` then says what was saved.
+
         Raises
         ------
         StoreBusy
             If another run still holds it.
         """
+        with self._locked(wait):
+            with self.guarding():
+                mended = self._mended()
+                left = [*blocks_in(self._beside("-wal"))]
+            with self._connected(self.path, "rwc") as connection:
+                writer = Writer(connection, self, mended)
+                # Of a log with a damaged part, the library reads what stands before it alone.
+                writer.save(left)
+                yield writer
+
+    @contextmanager
+    def reading(self) -> Iterator[Reader]:
+        """Look into the store, while another may write; one that is not there is empty."""
+        if not self.path.exists():
+            yield Reader(None, self)
+            return
+        with self._connected(self.path, "rw") as connection:
+            yield Reader(connection, self)
+
+    def check(self) -> None:
+        """Look for damage, and change nothing.
+
+        Raises
+        ------
+        StoreError
+            If there is some.
+        """
+        with self._locked(0.0), self.guarding():
+            fault = self._fault()
+        if fault:
+            raise self._damaged(fault)
+
+    @contextmanager
+    def guarding(self) -> Iterator[None]:
+        """Turn an error inside, which must be one of the store's own, into a message that says what to do."""
+        try:
+            yield
+        except (sqlite3.Error, OSError) as error:
+            raise self._unusable(error) from None
+
+    @contextmanager
+    def _locked(self, wait: float) -> Iterator[None]:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             lock = FileLock(self.folder / "lock", timeout=wait)
@@ -114,71 +159,98 @@ class Store:
         except (OSError, NotImplementedError) as error:
             raise self._unusable(error) from None
         try:
-            with self._connected(create=True) as connection:
-                with self.guarding():
-                    # Writing into a damaged tree would damage it further.
-                    fault = connection.execute("PRAGMA integrity_check(1)").fetchone()[0].decode()
-                if fault != "ok":
-                    raise self._damaged(fault.splitlines()[-1])
-                yield Writer(connection, self)
+            yield
         finally:
             lock.release()
 
-    def read(self, keys: Iterable[str], below: int) -> dict[str, list[Trial]]:
-        """The stored trials of each key with numbers under ``below``, in order."""
-        if not self.path.exists():
-            return {key: [] for key in keys}
-        with self._connected(create=False) as connection, self.guarding():
-            return {key: list(_trials(connection, key, below)) for key in keys}
-
-    def count(self) -> int:
-        """How many rows the store holds."""
-        if not self.path.exists():
-            return 0
-        with self._connected(create=False) as connection, self.guarding():
-            return int(connection.execute("SELECT COUNT(*) FROM trials").fetchone()[0])
-
     @contextmanager
-    def guarding(self) -> Iterator[None]:
-        """Turn an error inside, which must be one of the store's own, into a message that says what to do."""
-        try:
-            yield
-        except (sqlite3.Error, OSError) as error:
-            raise self._unusable(error) from None
-
-    @contextmanager
-    def _connected(self, *, create: bool) -> Iterator[sqlite3.Connection]:
+    def _connected(self, path: Path, mode: str) -> Iterator[sqlite3.Connection]:
         """A connection; errors of what is done while it is open are left as they are."""
         with self.guarding():
-            address = f"{self.path.resolve().as_uri()}?mode={'rwc' if create else 'rw'}"
-            connection = sqlite3.connect(address, uri=True, timeout=10.0)
+            connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode={mode}", uri=True, timeout=10.0)
         try:
             with self.guarding():
                 # Texts stay bytes, as a damaged one may not be UTF-8.
                 connection.text_factory = bytes
-                self._prepare(connection)
+                written = connection.execute("PRAGMA user_version").fetchone()[0]
+                if written == 0 and mode == "rwc":
+                    connection.executescript(_SCHEMA)
+                elif written not in (0, _FORMAT):
+                    raise StoreError(
+                        f"the trials store {self.path} has format {written}, and this hident uses format "
+                        f"{_FORMAT}: move it aside, or name another with --store"
+                    )
+                connection.execute("PRAGMA synchronous = NORMAL")
+                connection.execute("PRAGMA wal_autocheckpoint = 64")
             yield connection
         finally:
             with self.guarding():
                 connection.close()
 
-    def _prepare(self, connection: sqlite3.Connection) -> None:
-        written = connection.execute("PRAGMA user_version").fetchone()[0]
-        if written == 0:
-            connection.execute("PRAGMA journal_mode = WAL")
-            connection.executescript(_SCHEMA)
-        elif written != _FORMAT:
-            raise StoreError(
-                f"the trials store {self.path} has format {written}, and this hident uses format "
-                f"{_FORMAT}: move it aside, or name another with --store"
-            )
-        connection.execute("PRAGMA synchronous = NORMAL")
+    def _beside(self, suffix: str) -> Path:
+        return self.folder / f"{self.path.name}{suffix}"
+
+    def _fault(self) -> str:
+        """What is wrong with the file; empty if nothing is."""
+        log = self._beside("-wal")
+        if not _has_content(self.path):
+            return "its file is gone, and its log is there" if next(blocks_in(log), None) else ""
+        try:
+            # Who only reads leaves a log as it is, which may be another file's; who writes leaves none.
+            with self._connected(self.path, "ro" if _has_content(log) else "rw") as connection:
+                if not connection.execute("PRAGMA user_version").fetchone()[0]:
+                    return "its header is damaged"
+                found = connection.execute("PRAGMA integrity_check(1)").fetchone()[0].decode()
+                reader = Reader(connection, self)
+                if _has_content(log) and not all(map(reader.has, blocks_in(self.path))):
+                    return "its log is another store's"
+        except StoreError as error:
+            if isinstance(error, _Damaged):
+                return error.fault
+            if next(blocks_in(self.path), None):
+                return "its header is of another format"
+            raise
+        except sqlite3.DatabaseError as error:
+            if _code(error) not in _CORRUPT:
+                raise
+            return str(error)
+        return "" if found == "ok" else found.splitlines()[-1]
+
+    def _mended(self) -> str:
+        """Save what a damaged file holds into a new one, and say so; empty if it is sound.
+
+        Killed at any moment, it goes on from there the next time.
+        """
+        part, whole = self._beside(".part"), self._beside(".salvaged")
+        said = ""
+        if not whole.exists() and (fault := self._fault()):
+            for suffix in ("", "-wal", "-shm"):
+                self._beside(f".part{suffix}").unlink(missing_ok=True)
+            with self._connected(part, "rwc") as connection:
+                writer = Writer(connection, self)
+                for path in (self.path, self._beside("-wal")):
+                    writer.save(blocks_in(path))
+                saved = writer.count()
+            part.replace(whole)
+            said = f"the trials store {self.path} was damaged ({fault}): {saved} scores are saved"
+        if not whole.exists():
+            return ""
+        aside = next(path for i in itertools.count(1) if not (path := self._beside(f".damaged-{i}")).exists())
+        # The log first: beside the new file it would be taken for that one's.
+        for path, to in ((self._beside("-wal"), aside.with_name(f"{aside.name}-wal")), (self.path, aside)):
+            if path.exists():
+                path.replace(to)
+        self._beside("-shm").unlink(missing_ok=True)
+        whole.replace(self.path)
+        return (
+            f"{said or f'the trials store {self.path} was damaged'}, and the damaged file is kept as {aside}"
+        )
 
     def _unusable(self, error: Exception) -> StoreError:
-        code = getattr(error, "sqlite_errorcode", 0) & 0xFF  # the higher bits are details
+        code = _code(error)
         number = error.errno if isinstance(error, OSError) else None
         text = (isinstance(error, OSError) and error.strerror) or str(error)
-        if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
+        if code in _CORRUPT:
             return self._damaged(text)
         if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR) or number in _FULL:
             remedy = "the disk is full or failing. All stored trials are kept: free space, run again"
@@ -188,50 +260,105 @@ class Store:
             remedy = "its folder must be writable; --store names another"
         return StoreError(f"the trials store {self.path} cannot be used ({text.lower()}): {remedy}")
 
-    def _damaged(self, text: str) -> StoreError:
-        return StoreError(
-            f"the trials store {self.path} is damaged ({text}). Nothing was changed. Move it aside "
-            f"(mv {self.path} {self.path}.damaged) and run again: what it held is computed anew"
+    def _damaged(self, fault: str) -> StoreError:
+        return _Damaged(
+            f"the trials store {self.path} is damaged ({fault}). The next hident run saves what can be read "
+            "into a new one, and keeps the damaged file",
+            fault,
         )
 
 
-class Writer:
-    """The one writer of a file: a :class:`TrialStore`."""
+class _Damaged(StoreError):
+    """The file is no sound database."""
 
-    def __init__(self, connection: sqlite3.Connection, store: Store) -> None:
+    def __init__(self, text: str, fault: str) -> None:
+        super().__init__(text)
+        self.fault = fault
+
+
+def _has_content(path: Path) -> bool:
+    return path.exists() and path.stat().st_size > 0
+
+
+def _code(error: Exception) -> int:
+    return getattr(error, "sqlite_errorcode", 0) & 0xFF  # the higher bits are details
+
+
+class Reader:
+    """What is stored."""
+
+    def __init__(self, connection: sqlite3.Connection | None, store: Store) -> None:
         self._connection, self._store = connection, store
 
-    def trials(self, key: str, below: int) -> list[Trial]:
-        """The stored trials of a key with numbers under ``below``, in order."""
+    def _rows(self, query: str, *values: Any) -> Iterator[tuple[Any, ...]]:
+        if self._connection is None:
+            return
+        rows = self._connection.cursor()
         with self._store.guarding():
-            return list(_trials(self._connection, key, below))
+            rows.execute(query, values)
+        while True:
+            with self._store.guarding():
+                row = rows.fetchone()
+            if row is None:
+                return
+            yield row
 
-    def add(self, units: Mapping[str, Any], trials: Iterable[tuple[str, Trial]]) -> None:
-        """Write a chunk of trials, and what their keys stand for, in one transaction."""
-        rows = []
-        for key, t in trials:
-            data = t.values.astype("<f8").tobytes()
-            rows.append((key, t.trial, data, t.failure, _checksum(key, t.trial, data, t.failure)))
+    def trials(self, key: str, below: int) -> Iterator[Scores]:
+        """The stored scores of a key in trials with numbers under ``below``, in order."""
+        query = "SELECT data FROM blocks WHERE key = ? AND first < ? ORDER BY first"
+        for (data,) in self._rows(query, key, below):
+            block = Block.decoded(data)
+            if block is not None and block.key == key and (scores := block.scores.below(below)).trials.size:
+                yield scores
+
+    def counted(self, key: str, below: int) -> Count:
+        """How many trials of a key are stored, by what the blocks are said to hold: without reading them.
+
+        Of a block that goes beyond ``below`` all trials count.
+        """
+        query = "SELECT TOTAL(count), TOTAL(failed) FROM blocks WHERE key = ? AND first < ?"
+        return next(
+            (Count(int(trials), int(failed)) for trials, failed in self._rows(query, key, below)), Count(0, 0)
+        )
+
+    def count(self) -> int:
+        """How many scores there are: one for each trial and metric."""
+        return sum(int(count) for (count,) in self._rows("SELECT TOTAL(count) FROM blocks"))
+
+    def has(self, block: Block) -> bool:
+        """Whether a block of the same place is there."""
+        key, first, count, _ = block.place
+        found = self._rows(
+            "SELECT 1 FROM blocks WHERE key = ? AND first = ? AND count = ?", key, first, count
+        )
+        return next(found, None) is not None
+
+
+class Writer(Reader):
+    """The one writer of a file: a :class:`TrialStore`."""
+
+    def __init__(self, connection: sqlite3.Connection, store: Store, mended: str = "") -> None:
+        super().__init__(connection, store)
+        self._connection: sqlite3.Connection
+        self.mended = mended
+        """What was saved of a damaged file; empty if it was sound."""
+
+    def add(self, units: Mapping[str, Any], scores: Iterable[tuple[str, Scores]]) -> None:
+        """Write a chunk of scores, and what their keys stand for, in one transaction."""
+        rows = [(*block.place, data) for key, found in scores for block, data in blocks_of(key, found)]
+        described = [(key, json.dumps(unit, sort_keys=True)) for key, unit in units.items()]
         with self._store.guarding(), self._connection:
+            self._connection.executemany("INSERT OR IGNORE INTO units VALUES (?, ?)", described)
+            # Where trials are computed that a block should hold, it is damaged.
             self._connection.executemany(
-                "INSERT OR IGNORE INTO units VALUES (?, ?)",
-                [(key, json.dumps(described, sort_keys=True)) for key, described in units.items()],
+                "DELETE FROM blocks WHERE key = ? AND first BETWEEN ? AND ?",
+                [(key, first, first + count - 1) for key, first, count, *_ in rows],
             )
-            self._connection.executemany("INSERT OR REPLACE INTO trials VALUES (?, ?, ?, ?, ?)", rows)
+            self._connection.executemany(_INSERT, rows)
 
-
-def _trials(connection: sqlite3.Connection, key: str, below: int) -> Iterator[Trial]:
-    query = "SELECT trial, data, failure, checksum FROM trials WHERE key = ? AND trial < ? ORDER BY trial"
-    for row in connection.execute(query, (key, below)):
-        if trial := _undamaged(key, *row):
-            yield trial
-
-
-def _undamaged(key: str, number: Any, data: Any, failure: Any, checksum: Any) -> Trial | None:
-    """The trial of a row; None if the row is damaged, as a damaged one may hold any type."""
-    if not (isinstance(data, bytes) and isinstance(failure, bytes)):
-        return None
-    text = failure.decode(errors="replace")
-    if _checksum(key, number, data, text) != checksum:
-        return None
-    return Trial(number, np.frombuffer(data, dtype="<f8"), text)
+    def save(self, blocks: Iterable[Block]) -> None:
+        """Write the blocks that are not there, in one transaction."""
+        with self._store.guarding(), self._connection:
+            for block in blocks:
+                if not self.has(block):
+                    self._connection.execute(_INSERT, (*block.place, block.encoded()))

@@ -9,13 +9,14 @@ import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, Spec, canonical
+from hident.engine.scores import Scores, gathered
 from hident.errors import EstimationError, TrialFailed
 from hident.estimators.base import Batched, EstimatorSpec, is_batched
 from hident.metrics.base import MetricSpec
@@ -95,31 +96,23 @@ class Job:
         return int(digest(canonical(self.estimator)), 16)
 
 
-@dataclass(frozen=True, eq=False)
-class Score:
-    """What one metric gave: a number for each of its labels, nan throughout if it failed.
+class Crash(NamedTuple):
+    """An error that is not a result."""
 
-    ``failure`` then says why. Of an error that is not a result, ``values`` is empty, ``failure`` is the
-    message and ``crash`` the traceback.
-    """
-
-    values: Array
-    failure: str = ""
-    crash: str = ""
+    error: str
+    traceback: str
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What one job gave in one trial: a score for each of its metrics."""
+    """What one job gave in its trials: the scores of each of its metrics.
 
-    job: int
-    trial: int
-    scores: tuple[Score, ...]
+    A trial that crashed, in the estimate or in a metric, has no scores there, and its first crash is among
+    ``crashes``.
+    """
 
-    @property
-    def values(self) -> Array:
-        """The numbers of all metrics, one after the other."""
-        return np.concatenate([score.values for score in self.scores])
+    scores: tuple[Scores, ...]
+    crashes: Mapping[int, Crash]
 
 
 def generate(data: Data, seed: int, trial: int, perturbation: int = 0) -> Record:
@@ -215,34 +208,39 @@ def estimate(data: Data, job: Job, record: Record, seed: int, trial: int) -> Est
 
 
 def run_trials(
-    data: Data, jobs: Sequence[Job], wanted: Mapping[int, Sequence[int]], seed: int, perturbation: int = 0
+    data: Data, jobs: Sequence[Job], wanted: Sequence[Sequence[int]], seed: int, perturbation: int = 0
 ) -> list[Outcome]:
-    """Run the jobs that each trial wants: ``wanted`` maps trials to indices of jobs.
+    """Run each job in the trials that it is wanted for, which rise: its outcome.
 
     A failure or a crash does not end the others, so that what was computed can be kept. The numbers do not
     depend on which trials run together.
     """
-    scores: dict[tuple[int, int], tuple[Score, ...]] = {}
     with np.errstate(all="ignore"):
-        made = _records(data, seed, [*wanted], perturbation)
+        made = _records(data, seed, sorted({trial for trials in wanted for trial in trials}), perturbation)
         records = {trial: record for trial, record in made.items() if isinstance(record, Record)}
         failed = {trial: error for trial, error in made.items() if isinstance(error, BaseException)}
-        for index, job in enumerate(jobs):
-            wanting = [trial for trial, indices in wanted.items() if index in indices]
-            found = _estimates(
-                data, job, {trial: records[trial] for trial in wanting if trial in records}, seed
-            )
-            for trial in wanting:
-                one = found[trial] if trial in found else failed[trial]
-                scores[trial, index] = tuple(
-                    _score(metric, one, records[trial])
-                    if isinstance(one, Estimate)
-                    else _scored_as(one, metric)
-                    for metric in job.metrics
-                )
-    return [
-        Outcome(index, trial, scores[trial, index]) for trial, indices in wanted.items() for index in indices
-    ]
+        outcomes = []
+        for job, trials in zip(jobs, wanted, strict=True):
+            there = {trial: records[trial] for trial in trials if trial in records}
+            found = {**failed, **_estimates(data, job, there, seed)}
+            outcomes.append(_outcome(job, {trial: found[trial] for trial in trials}, records))
+    return outcomes
+
+
+def _outcome(
+    job: Job, found: Mapping[int, Estimate | BaseException], records: Mapping[int, Record]
+) -> Outcome:
+    crashes: dict[int, Crash] = {}
+    scores = []
+    for metric in job.metrics:
+        scored = {
+            trial: _score(metric, one, records[trial]) if isinstance(one, Estimate) else _failed(one)
+            for trial, one in found.items()
+        }
+        kept = {trial: one for trial, one in scored.items() if not isinstance(one, Crash)}
+        crashes = {trial: one for trial, one in scored.items() if isinstance(one, Crash)} | crashes
+        scores.append(gathered([*kept], [*kept.values()], len(metric.labels(""))))
+    return Outcome(tuple(scores), crashes)
 
 
 def _attempt(make: Callable[[], T]) -> T | BaseException:
@@ -330,13 +328,14 @@ def _otherwise(
     return None
 
 
-def _score(metric: MetricSpec, found: Estimate, record: Record) -> Score:
+def _score(metric: MetricSpec, found: Estimate, record: Record) -> Array | str | Crash:
+    """The values of a metric; or why it failed; or its crash."""
     try:
-        return Score(_numbers(metric, found, record))
+        return _numbers(metric, found, record)
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        return _scored_as(error, metric, of_metric=True)
+        return _failed(error, OF_METRIC)
 
 
 def _numbers(metric: MetricSpec, found: Estimate, record: Record) -> Array:
@@ -346,13 +345,12 @@ def _numbers(metric: MetricSpec, found: Estimate, record: Record) -> Array:
     return values
 
 
-def _scored_as(error: BaseException, metric: MetricSpec, *, of_metric: bool = False) -> Score:
-    """The score where an error took the place of the numbers."""
+def _failed(error: BaseException, prefix: str = "") -> str | Crash:
+    """The reason, if the error is a result."""
     if isinstance(error, FAILURES):
-        prefix = OF_METRIC if of_metric else ""
-        return Score(np.full(len(metric.labels("")), np.nan), prefix + reason(error))
+        return prefix + reason(error)
     said = f"{type(error).__name__}: {_text(error)}"
-    return Score(np.empty(0), said, _encodable("".join(traceback.format_exception(error))))
+    return Crash(said, _encodable("".join(traceback.format_exception(error))))
 
 
 def reason(error: BaseException) -> str:

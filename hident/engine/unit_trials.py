@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,72 +12,128 @@ from numpy.typing import NDArray
 from hident.arrays import Array
 from hident.engine.expansion import Unit
 from hident.engine.results import Series, grouped
-from hident.engine.store import Trial, TrialStore
+from hident.engine.scores import Scores
+from hident.engine.store import TrialStore
 from hident.engine.trial import OF_METRIC
 from hident.errors import StoreError
 
 
-class _Scores:
-    """All trials of one metric; nan, and not ``there``, as long as they are missing."""
+class _Gathered:
+    """All trials of one metric: held in memory, or read from the store again when they are asked for."""
 
-    def __init__(self, labels: Sequence[str], trials: int) -> None:
+    def __init__(
+        self, labels: Sequence[str], key: str, trials: int, store: TrialStore, *, held: bool
+    ) -> None:
         self.labels = labels
-        self.values = np.full((len(labels), trials), np.nan)
         self.there = np.zeros(trials, dtype=bool)
+        self._key, self._store = key, store
         self._failures: dict[int, str] = {}
+        self._held = (
+            Scores(np.arange(trials), np.full((len(labels), trials), np.nan).T, self._failures)
+            if held
+            else None
+        )
 
-    def put(self, trial: Trial) -> None:
-        if not (0 <= trial.trial < len(self.there) and len(trial.values) == len(self.labels)):
-            raise StoreError(
-                f"the store gives trial {trial.trial} with {len(trial.values)} values, where trials 0 to "
-                f"{len(self.there) - 1} have {len(self.labels)}: {', '.join(self.labels)}"
-            )
-        self.values[:, trial.trial] = trial.values
-        self.there[trial.trial] = True
-        if trial.failure:
-            self._failures[trial.trial] = trial.failure
+    def read(self) -> None:
+        """Take what is stored."""
+        for scores in self._store.trials(self._key, len(self.there)):
+            self.put(scores)
+
+    def put(self, scores: Scores) -> None:
+        """Take these scores."""
+        self._check(scores)
+        self.there[scores.trials] = True
+        if self._held is not None:
+            self._held.values[scores.trials] = scores.values
+            self._failures.update(scores.failures)
 
     def series(self, unit: Unit) -> Iterator[Series]:
-        for label, values in zip(self.labels, self.values, strict=True):
-            yield Series(unit, label, values, grouped(self._reasons(label, values)))
+        for i, label in enumerate(self.labels):
+            values = self._column(i) if self._held else partial(self._column, i)
+            yield Series(unit, label, values, grouped(self._reasons(i)))
 
-    def _reasons(self, label: str, values: Array) -> Iterator[str]:
-        for trial in np.flatnonzero(~np.isfinite(values)):
-            failure = self._failures.get(int(trial)) or f"{OF_METRIC}the value is {values[trial]}"
-            yield f"{label}: {failure.removeprefix(OF_METRIC)}" if failure.startswith(OF_METRIC) else failure
+    def _parts(self) -> Iterator[Scores]:
+        """All trials, each once."""
+        if self._held is not None:
+            yield self._held
+            return
+        missing = np.ones(len(self.there), dtype=bool)
+        for scores in self._store.trials(self._key, len(self.there)):
+            self._check(scores)
+            part = scores.where(missing[scores.trials])
+            missing[part.trials] = False
+            yield part
+        if missing.any():
+            raise StoreError("the trials store was changed while the run was going: run again")
+
+    def _column(self, i: int) -> Array:
+        if self._held is not None:
+            return self._held.values[:, i]
+        values = np.empty(len(self.there))
+        for part in self._parts():
+            values[part.trials] = part.values[:, i]
+        return values
+
+    def _reasons(self, i: int) -> Iterator[str]:
+        """Why trials failed, in their order."""
+        for part in self._parts():
+            column = part.values[:, i]
+            for row in np.flatnonzero(~np.isfinite(column)):
+                failure = part.failures.get(int(part.trials[row])) or f"{OF_METRIC}the value is {column[row]}"
+                own = failure.removeprefix(OF_METRIC)
+                yield failure if own == failure else f"{self.labels[i]}: {own}"
+
+    def _check(self, scores: Scores) -> None:
+        trials, last = scores.trials, len(self.there) - 1
+        outside = trials[(trials < 0) | (trials > last)]
+        if outside.size or scores.values.shape != (len(trials), len(self.labels)):
+            raise StoreError(
+                f"the store gives trial {[*outside, *trials][0]} with {scores.values.shape[-1]} values, "
+                f"where trials 0 to {last} have {len(self.labels)}: {', '.join(self.labels)}"
+            )
 
 
 class UnitTrials:
-    """One unit with the scores of its metrics, by their names."""
+    """One unit with the scores of its metrics, by their names; held in memory or not."""
 
-    def __init__(self, unit: Unit, keys: Mapping[str, str], trials: int) -> None:
-        self.unit, self.keys, self._trials = unit, keys, trials
-        self._scores = {name: _Scores(metric.labels(name), trials) for name, metric in unit.metrics.items()}
+    def __init__(
+        self, unit: Unit, keys: Mapping[str, str], trials: int, store: TrialStore, *, held: bool = True
+    ) -> None:
+        self.unit, self.keys = unit, keys
+        self._gathered = {
+            name: _Gathered(metric.labels(name), keys[name], trials, store, held=held)
+            for name, metric in unit.metrics.items()
+        }
 
-    def read(self, store: TrialStore) -> None:
+    def read(self) -> None:
         """Take what is stored."""
-        for name, scores in self._scores.items():
-            for trial in store.trials(self.keys[name], self._trials):
-                scores.put(trial)
+        for gathered in self._gathered.values():
+            gathered.read()
+
+    def put(self, name: str, scores: Scores) -> None:
+        """Take scores of the metric of this name."""
+        self._gathered[name].put(scores)
 
     def complete(self) -> int:
         """How many trials have the scores of all metrics."""
         return int((~self.trials_missing()).sum())
 
-    def missing(self, trial: int) -> tuple[str, ...]:
-        """The metrics that the trial lacks."""
-        return tuple(name for name, scores in self._scores.items() if not scores.there[trial])
-
     def trials_missing(self) -> NDArray[np.bool_]:
         """Whether each trial lacks any metric."""
-        missing: NDArray[np.bool_] = np.any([~scores.there for scores in self._scores.values()], axis=0)
+        there = [gathered.there for gathered in self._gathered.values()]
+        missing: NDArray[np.bool_] = ~np.all(there, axis=0)
         return missing
 
-    def put(self, name: str, trial: Trial) -> None:
-        """Take a trial's score of the metric of this name."""
-        self._scores[name].put(trial)
+    def lacking(self, trials: Sequence[int]) -> Iterator[tuple[tuple[str, ...], list[int]]]:
+        """The sets of metrics that trials lack, each with its trials."""
+        found: dict[tuple[str, ...], list[int]] = {}
+        there = np.array([gathered.there[trials] for gathered in self._gathered.values()])
+        for trial, missing in zip(trials, (~there).T.tolist(), strict=True):
+            names = tuple(itertools.compress(self._gathered, missing))
+            found.setdefault(names, []).append(trial)
+        return ((names, of) for names, of in found.items() if names)
 
     def series(self) -> Iterator[Series]:
         """The series of all labels of all metrics."""
-        for scores in self._scores.values():
-            yield from scores.series(self.unit)
+        for gathered in self._gathered.values():
+            yield from gathered.series(self.unit)

@@ -15,20 +15,37 @@ import csv
 import io
 import lzma
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hident.arrays import Array
-from hident.engine.results import Results
+from hident.engine.results import Results, Series
 
 _NAMES = ("estimator", "metric")
 
 Key = tuple[str, ...]
 """The labels of the axes, then the estimator, then (of a series) the metric."""
+
+
+class _Values(Mapping[Key, Array]):
+    """The values of series, each read when it is asked for."""
+
+    def __init__(self, series: Mapping[Key, Series]) -> None:
+        self._series = series
+
+    def __getitem__(self, key: Key) -> Array:
+        return self._series[key].values
+
+    def __iter__(self) -> Iterator[Key]:
+        return iter(self._series)
+
+    def __len__(self) -> int:
+        return len(self._series)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +62,7 @@ class TrialValues:
         # As table.csv writes the labels.
         text = results.frame()[[*axes, *_NAMES]].to_csv(index=False, lineterminator="\n")
         _, *keys = csv.reader(io.StringIO(text, newline=""))
-        return cls(axes, {tuple(key): s.values for key, s in zip(keys, results.series, strict=True)})
+        return cls(axes, _Values({tuple(key): s for key, s in zip(keys, results.series, strict=True)}))
 
     @classmethod
     def decoded(cls, data: bytes) -> TrialValues:
@@ -68,12 +85,24 @@ class TrialValues:
 
     def encoded(self) -> bytes:
         """The bytes of the file."""
-        text = io.StringIO(newline="")
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow([*self.axes, *_NAMES, *range(self.trials)])
+        return b"".join(self._encoded())
+
+    def write(self, file: Path) -> None:
+        """Write the file, a series at a time."""
+        with file.open("wb") as out:
+            out.writelines(self._encoded())
+
+    def _encoded(self) -> Iterator[bytes]:
+        compressor = lzma.LZMACompressor(format=lzma.FORMAT_XZ, preset=1)
+        for text in self._texts():
+            yield compressor.compress(text.encode())
+        yield compressor.flush()
+
+    def _texts(self) -> Iterator[str]:
+        """The text, in pieces: a row may hold millions of numbers."""
+        yield from _row([*self.axes, *_NAMES], np.arange(self.trials))
         for key, values in self.series.items():
-            writer.writerow([*key, *("" if math.isnan(v) else repr(v) for v in values.tolist())])
-        return lzma.compress(text.getvalue().encode(), format=lzma.FORMAT_XZ, preset=1)
+            yield from _row(key, values)
 
     @property
     def trials(self) -> int:
@@ -97,6 +126,16 @@ class TrialValues:
     def described_series(self, series: Key) -> str:
         """A series in words."""
         return f"{self.described(series[:-1])}, metric {series[-1]}"
+
+
+def _row(names: Sequence[str], numbers: NDArray[np.generic]) -> Iterator[str]:
+    """A row of the file: names, and after them numbers, of which nan is an empty cell."""
+    line = io.StringIO(newline="")
+    csv.writer(line, lineterminator="").writerow(names)
+    yield line.getvalue()
+    for start in range(0, len(numbers), 10_000):
+        yield "".join("," if math.isnan(v) else f",{v!r}" for v in numbers[start : start + 10_000].tolist())
+    yield "\n"
 
 
 @dataclass(frozen=True, eq=False)

@@ -184,7 +184,7 @@ def _write_tables(
     texts[PAGE] = markdown(results, verdicts, tables)
     for name, text in texts.items():
         folder.write_text(name, text)
-    (folder.path / TRIALS).write_bytes(TrialValues.of(results).encoded())
+    TrialValues.of(results).write(folder.path / TRIALS)
     return [*texts, TRIALS]
 
 

@@ -76,8 +76,8 @@ def measure(job: int, size: int) -> tuple[float, int]:
 
     pin_blas()
     data, jobs = cases("figures={}", f"cases.samples=[{size}]")[0]
-    for outcome in run_trials(data, jobs, {0: [job]}, 1):
-        assert np.isfinite(outcome.values).all()
+    [outcome] = run_trials(data, [jobs[job]], [[0]], 1)
+    assert all(np.isfinite(scores.values).all() for scores in outcome.scores)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
     record, rng = generate(data, 1, 0), np.random.default_rng(1)

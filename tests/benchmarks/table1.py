@@ -32,7 +32,7 @@ def cases(*assignments: str) -> list[tuple[Data, list[Job]]]:
 
 def scores(data: Data, jobs: list[Job], seed: int, numbers: range) -> list[list[float]]:
     """All scores of each trial: the error of (4), (15) and its a, (7), (16) and its a."""
-    wanted = {number: range(len(jobs)) for number in numbers}
-    outcomes = run_trials(data, jobs, wanted, seed)
-    rows = [outcomes[i : i + len(jobs)] for i in range(0, len(outcomes), len(jobs))]
-    return [np.concatenate([outcome.values for outcome in row]).tolist() for row in rows]
+    outcomes = run_trials(data, jobs, [numbers] * len(jobs), seed)
+    columns = [scores.values for outcome in outcomes for scores in outcome.scores]
+    found: list[list[float]] = np.concatenate(columns, axis=1).tolist()
+    return found

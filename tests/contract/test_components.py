@@ -15,7 +15,7 @@ from hident.config.describe import fields
 from hident.config.load import problems_of
 from hident.config.meanings import meanings
 from hident.config.spec import PLURALS, Component, Family, Of, Spec, canonical, components
-from hident.engine.trial import Data, Job, estimate, generate, run_trials
+from hident.engine.trial import Data, Job, estimate, generate
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec
 from hident.estimators.nonparametric.bases import BasisSpec
@@ -28,6 +28,7 @@ from hident.signals.base import ExcitationSpec, NoiseSpec
 from hident.signals.streams import NumpyStreams, StreamsSpec
 from hident.systems.base import NonlinearitySpec, SystemSpec
 from hident.systems.linear import LinearSpec
+from tests.unit.tried import tried
 
 plugins.load()
 
@@ -448,7 +449,7 @@ class TestEveryEstimator:
                 {
                     (outcome.trial, outcome.job): outcome.values.tobytes()
                     for chunk in chunks
-                    for outcome in run_trials(data, jobs, dict.fromkeys(chunk, (0, 1)), 1)
+                    for outcome in tried(data, jobs, dict.fromkeys(chunk, (0, 1)), 1)
                 }
                 for chunks in ([range(trials)], [[trial] for trial in range(trials)], [[3, 0], [2], [4, 1]])
             ]

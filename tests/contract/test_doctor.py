@@ -10,7 +10,8 @@ from typer.testing import CliRunner, Result
 
 from hident import arithmetic
 from hident.cli import app
-from hident.engine.store import Store, Trial
+from hident.engine.scores import Scores
+from hident.engine.store import Store
 
 
 def _doctor(*arguments: str) -> Result:
@@ -39,12 +40,12 @@ def _stored(folder: Path, trials: int) -> None:
     import numpy as np
 
     with Store(folder).writing() as writer:
-        writer.add({"k": {}}, [("k", Trial(i, np.ones(200))) for i in range(trials)])
+        writer.add({"k": {}}, [("k", Scores(np.arange(trials), np.ones((trials, 200))))])
 
 
 def test_a_store_is_counted_and_a_damaged_one_is_unsound(here: Path) -> None:
     _stored(here / "s", 50)
-    assert "50 trials" in _doctor("--store", "s").output
+    assert "50 scores" in _doctor("--store", "s").output
     file = here / "s/trials.sqlite"
     with sqlite3.connect(file) as connection:
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")

@@ -14,13 +14,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from hident.engine.blocks import blocks_in
+
 if TYPE_CHECKING:
     from tests.conftest import Lab
-
-_DAMAGED = (
-    "Nothing was changed. Move it aside (mv .hident/trials.sqlite .hident/trials.sqlite.damaged) and run "
-    "again: what it held is computed anew"
-)
 
 
 @pytest.fixture(scope="module")
@@ -52,63 +49,72 @@ def _damage(store: Path, change: bytes, at: int) -> bytes:
 def test_not_a_store(lab: Lab) -> None:
     lab.store.parent.mkdir()
     lab.store.write_bytes(b"garbage " * 1000)
-    for verb in (["run", "tiny.yaml", "-j1"], ["status", "tiny.yaml"], ["export", "tiny.yaml", "x.csv"]):
-        said = lab.hident(*verb, code=2).stderr
-        assert said == (
-            f"error: the trials store .hident/trials.sqlite is damaged (file is not a database). {_DAMAGED}\n"
+    for verb in (["status", "tiny.yaml"], ["export", "tiny.yaml", "x.csv"]):
+        assert lab.hident(*verb, code=2).stderr == (
+            "error: the trials store .hident/trials.sqlite is damaged (file is not a database). The next "
+            "hident run saves what can be read into a new one, and keeps the damaged file\n"
         )
     assert lab.store.read_bytes() == b"garbage " * 1000
     assert not (lab.folder / "x.csv").exists()
+    said = lab.run()
+    assert (
+        "warning: the trials store .hident/trials.sqlite was damaged (file is not a database): 0 scores are "
+        "saved, and the damaged file is kept as .hident/trials.sqlite.damaged-1\n"
+    ) in said
+    assert (lab.folder / ".hident/trials.sqlite.damaged-1").read_bytes() == b"garbage " * 1000
+    assert "is up to date" in lab.run()
 
 
-def test_damaged_pages_and_a_truncated_file(filled: Lab) -> None:
-    whole = filled.store.read_bytes()
-    assert len(whole) > 5 * 4096
-    for damage in ("page", "end"):
-        if damage == "page":
-            content = _damage(filled.store, b"\xff" * 64, 4 * 4096)
-        else:
-            content = whole[: 3 * 4096 + 100]
-            filled.store.write_bytes(content)
-        said = filled.run(code=2)
-        assert said.startswith("error: the trials store .hident/trials.sqlite is damaged (")
-        assert _DAMAGED in said
-        assert filled.store.read_bytes() == content
-    filled.store.write_bytes(whole)
-    assert "all 600 trials are stored" in filled.run()
+@pytest.mark.parametrize("damage", ["page", "end", "key"])
+def test_a_damaged_file_is_mended_by_the_run_and_what_is_lost_is_computed_again(
+    filled: Lab, damage: str
+) -> None:
+    before, content = filled.trials(), filled.store.read_bytes()
+    if damage == "page":
+        _damage(filled.store, b"\xff" * 64, 4 * 65536)
+    elif damage == "key":
+        key = next(block.key for block in blocks_in(filled.store)).encode()
+        _damage(filled.store, bytes([key[0] ^ 1]), content.index(key))
+    else:
+        filled.store.write_bytes(content[: 4 * 65536 + 100])
+    said = filled.run()
+    assert "warning: the trials store .hident/trials.sqlite was damaged (" in said
+    assert filled.trials() == before
+    assert "is up to date" in filled.run()
 
 
-def test_a_flipped_bit_in_a_value_recomputes_that_trial(filled: Lab) -> None:
+def test_flipped_bits_in_values_cost_their_blocks(filled: Lab) -> None:
     before = filled.trials()
     value = before["probe", "{'samples': 50}", 3]
     content = filled.store.read_bytes()
     assert content.count(value) == 1
     _damage(filled.store, bytes([value[0] ^ 1]), content.index(value))
-    assert "600 trials, 599 of them stored" in filled.run()
+    said = filled.run()
+    assert "600 trials, " in said
+    assert "of them stored" in said
+    assert "warning" not in said
     assert filled.trials() == before
 
 
 def test_rows_of_wrong_types_are_recomputed(filled: Lab) -> None:
     before = filled.trials()
     with closing(sqlite3.connect(filled.store)) as connection, connection:
-        for trial, column, value in (
-            (1, "data", "text"),
-            (2, "data", 5),
-            (3, "data", b"odd"),
-            (4, "failure", b"\xff\xfe"),
-            (5, "checksum", "x"),
-        ):
-            connection.execute(f"UPDATE trials SET {column} = ? WHERE trial = ?", (value, trial))
-    assert "600 trials, 580 of them stored" in filled.run()
+        rows = [row for (row,) in connection.execute("SELECT rowid FROM blocks ORDER BY rowid")]
+        for row, value in zip(rows, ("text", 5, b"odd", b""), strict=False):
+            connection.execute("UPDATE blocks SET data = ? WHERE rowid = ?", (value, row))
+    filled.run()
     assert filled.trials() == before
 
 
 def test_store_of_a_newer_format(filled: Lab) -> None:
     with closing(sqlite3.connect(filled.store)) as connection:
-        connection.execute("PRAGMA user_version = 3")
+        connection.execute("PRAGMA user_version = 4")
+        connection.execute("DELETE FROM blocks")
+        connection.commit()
+        connection.execute("VACUUM")
     for verb in (["run", "tiny.yaml", "-j1"], ["status", "tiny.yaml"]):
         assert filled.hident(*verb, code=2).stderr == (
-            "error: the trials store .hident/trials.sqlite has format 3, and this hident uses format 2: move "
+            "error: the trials store .hident/trials.sqlite has format 4, and this hident uses format 3: move "
             "it aside, or name another with --store\n"
         )
 
@@ -142,7 +148,7 @@ def _limit_files(size: int) -> None:
 def test_full_disk_under_the_store(lab: Lab) -> None:
     lab.probe()
     lab.configure(trials=1000)
-    said = lab.run("--jobs", "2", code=2, preexec_fn=lambda: _limit_files(60_000))
+    said = lab.run("--jobs", "2", code=2, preexec_fn=lambda: _limit_files(600_000))
     assert "cannot be used (disk i/o error): the disk is full or failing. All stored trials are kept" in said
     lab.await_alone()
     kept = len(lab.trials())

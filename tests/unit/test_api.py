@@ -9,7 +9,8 @@ import yaml
 
 import hident as hi
 from hident.config.spec import component
-from hident.engine.store import MemoryStore, Store, Trial
+from hident.engine.scores import Scores
+from hident.engine.store import MemoryStore, Store
 from hident.errors import ConfigError, StoreError, TrialsCrashed
 from hident.estimators.base import EstimatorSpec
 from hident.signals.streams import NumpyStreams
@@ -96,7 +97,8 @@ def test_a_store_is_kept_and_no_other_file_is_written(results, tmp_path, monkeyp
     assert not list(tmp_path.iterdir())
     assert hi.status(MADE) == {"stored": 0, "of": 16, "outputs": "none"}
     first = hi.run(MADE, store=".hident")
-    assert Store(tmp_path / ".hident").count() == 16
+    with Store(tmp_path / ".hident").reading() as reader:
+        assert reader.count() == 16
     hi.write(first, "out/experiment")
     assert hi.status(MADE) == {"stored": 16, "of": 16, "outputs": "up to date"}
     assert hi.compare("out", "out").differences == ()
@@ -118,7 +120,10 @@ def test_what_is_no_executor_is_refused_before_the_run(executor):
 
 @pytest.mark.parametrize(
     ("trial", "said"),
-    [(Trial(-1, np.zeros(1)), "trial -1 with 1"), (Trial(0, np.zeros(2)), "trial 0 with 2")],
+    [
+        (Scores(np.array([-1]), np.zeros((1, 1))), "trial -1 with 1"),
+        (Scores(np.array([0]), np.zeros((1, 2))), "trial 0 with 2"),
+    ],
 )
 def test_a_store_that_gives_what_was_not_asked_for_is_told_so(trial, said):
     class Odd(MemoryStore):
@@ -134,7 +139,7 @@ def test_an_object_that_keeps_trials_is_a_store(results):
     for _ in range(2):
         pd.testing.assert_frame_equal(hi.run(MADE, store=store).frame(), results.frame(), check_exact=True)
     keys = [key for keys in hi.validate(MADE).keys for key in keys.values()]
-    assert [len(store.trials(key, 9)) for key in keys] == [4] * 4
+    assert [sum(len(one.trials) for one in store.trials(key, 9)) for key in keys] == [4] * 4
 
 
 def test_any_executor_gives_the_same_numbers(results):

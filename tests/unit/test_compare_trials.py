@@ -15,7 +15,7 @@ import pytest
 
 from hident import plugins
 from hident.engine.experiment import load
-from hident.engine.results import Results
+from hident.engine.results import Results, Series
 from hident.engine.runner import run
 from hident.engine.store import MemoryStore
 from hident.engine.trial import digest
@@ -32,6 +32,10 @@ if TYPE_CHECKING:
 
 plugins.load()
 _UNIT = "tiny: samples 50, estimator 'iv': "
+
+
+def _with(series: Series, values: Array) -> Series:
+    return Series(series.unit, series.metric, values, series.reasons)
 
 
 class Bench:
@@ -64,7 +68,7 @@ class Bench:
         series = list(self.plain.series)
         values = series[1].values.copy()
         change(values)
-        series[1] = replace(series[1], values=values)
+        series[1] = _with(series[1], values)
         self.write(replace(self.plain, series=tuple(series)))
         if foreign:
             self.foreign()
@@ -179,9 +183,7 @@ def test_more_trials_than_are_likely_are_a_difference(bench: Bench, moved: int, 
 
 def test_what_each_unit_might_may_be_more_than_all_together_may(bench: Bench) -> None:
     def of_all(results: Results, count: int) -> Results:
-        series = [
-            replace(s, values=s.values + 0.3 * (np.arange(len(s.values)) < count)) for s in results.series
-        ]
+        series = [_with(s, s.values + 0.3 * (np.arange(len(s.values)) < count)) for s in results.series]
         return replace(results, series=tuple(series))
 
     bench.accept(perturbed=40)
@@ -236,7 +238,10 @@ def test_a_change_of_a_thousandth_is_seen(bench: Bench, change: dict[str, Any], 
     bench.accept(moved=4)
     # As if the change were in the code: the configuration says what it said.
     changed = bench.run(**change)
-    series = [replace(s, unit=p.unit) for s, p in zip(changed.series, bench.plain.series, strict=True)]
+    series = [
+        Series(p.unit, s.metric, s.values, s.reasons)
+        for s, p in zip(changed.series, bench.plain.series, strict=True)
+    ]
     bench.write(replace(bench.plain, series=tuple(series)))
     if foreign:
         bench.foreign()
@@ -296,7 +301,7 @@ def test_another_number_of_trials_is_a_difference_unless_the_common_ones_are_ask
     assert bench.compare(partial=True) == Comparison((), 1, ())
     bench.again(_branch(5), foreign=True)
     few = replace(bench.plain, plan=bench.plain.plan.changed(trials=15), series=tuple(
-        replace(s, values=s.values[:15] + (0.3 if i == 1 else 0.0)) for i, s in enumerate(bench.plain.series)
+        _with(s, s.values[:15] + (0.3 if i == 1 else 0.0)) for i, s in enumerate(bench.plain.series)
     ))  # fmt: skip
     bench.write(few)
     (unit,) = bench.compare(partial=True).differences

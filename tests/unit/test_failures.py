@@ -14,13 +14,14 @@ from hident.engine.experiment import load
 from hident.engine.results import Results, grouped
 from hident.engine.runner import CrashReport, run, stored
 from hident.engine.store import Store
-from hident.engine.trial import Job, Outcome, run_trials
+from hident.engine.trial import Job
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
 from hident.metrics.values import Value
 from hident.records import Estimate, Record
 from hident.reports.output import markdown
+from tests.unit.tried import Tried, tried
 
 if TYPE_CHECKING:
     from tests.conftest import Lab
@@ -78,9 +79,9 @@ class ErringMetric(MetricSpec):
         return [1.0]
 
 
-def _outcome(lab: Lab, job: Job) -> Outcome:
+def _outcome(lab: Lab, job: Job) -> Tried:
     data = load(lab.folder / "tiny.yaml").units[0].data
-    (outcome,) = run_trials(data, [job], {0: [0]}, seed=7)
+    (outcome,) = tried(data, [job], {0: [0]}, seed=7)
     return outcome
 
 

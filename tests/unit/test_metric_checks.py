@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hident import plugins
 from hident.config.spec import Of
-from hident.engine.trial import Data, generate, run_trials
+from hident.engine.trial import Data, generate
 from hident.errors import EstimationError, SimulationError
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 from hident.metrics.disturbance import DisturbanceVariance
@@ -18,6 +18,7 @@ from hident.metrics.models import LinearPercentError, discretised_percent_error,
 from hident.records import Estimate, Held, Part, Record, Truth
 from hident.systems.base import SystemSpec
 from tests.unit.plans import planned, refusals, replaced
+from tests.unit.tried import tried
 
 plugins.load()
 QUICK = settings(deadline=None, derandomize=True, max_examples=30)
@@ -406,7 +407,7 @@ def test_a_trial_whose_estimate_has_no_static_gain_is_failed_with_the_reason(pla
             return Estimate(continuous=ContinuousTransferFunction((0.0, 1.0), (3.0, 2.0)))
 
     job = Job(Flat.model_construct(**dict(unit.estimator)), (unit.metrics["m"],))
-    (outcome,) = run_trials(unit.data, [job], {0: [0]}, 1)
+    (outcome,) = tried(unit.data, [job], {0: [0]}, 1)
     (score,) = outcome.scores
     assert (score.crash, score.failure) == (
         "",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import signal
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -19,8 +19,9 @@ from hident.engine.executors import make_executor
 from hident.engine.experiment import Unit, load
 from hident.engine.results import Results
 from hident.engine.runner import run, stored
-from hident.engine.store import MemoryStore, Store, Trial, Writer
-from hident.errors import ConfigError, TrialsCrashed
+from hident.engine.scores import Scores
+from hident.engine.store import MemoryStore, Reader, Store
+from hident.errors import ConfigError, StoreError, TrialsCrashed
 from hident.ledger.verdicts import judge
 from hident.reports.output import Outputs
 from tests.unit.results_maker import PUBLISHED, made
@@ -72,8 +73,21 @@ def _run(
 
 
 def _bytes(lab: Lab, plan: Plan, store: str = "s") -> dict[str, list[tuple[int, bytes]]]:
-    found = Store(lab.folder / store).read([key for keys in plan.keys for key in keys.values()], plan.trials)
-    return {key: [(t.trial, t.values.tobytes()) for t in trials] for key, trials in found.items()}
+    with Store(lab.folder / store).reading() as reader:
+        return {
+            key: [
+                (trial, values.tobytes())
+                for scores in reader.trials(key, plan.trials)
+                for trial, values in zip(scores.trials.tolist(), scores.values, strict=True)
+            ]
+            for keys in plan.keys
+            for key in keys.values()
+        }
+
+
+def _count(lab: Lab) -> int:
+    with Store(lab.folder / "s").reading() as reader:
+        return reader.count()
 
 
 _REAL: dict[str, Any] = {
@@ -178,7 +192,7 @@ def test_a_broken_pool_keeps_what_is_finished(lab: Lab) -> None:
         _run(lab, plan, executor=executor, workers=2)
     # Of the four chunks that were under way at first, three had finished.
     assert executor.calls == 4
-    assert Store(lab.folder / "s").count() == 3 * 2
+    assert _count(lab) == 3 * 2
 
 
 def test_interrupt_stores_what_is_in_flight(lab: Lab) -> None:
@@ -194,7 +208,7 @@ def test_interrupt_stores_what_is_in_flight(lab: Lab) -> None:
     finally:
         signal.signal(signal.SIGINT, before)
     assert told.ends == ["stopping", "finished"]
-    assert Store(lab.folder / "s").count() == executor.calls * 2 == told.done
+    assert _count(lab) == executor.calls * 2 == told.done
 
 
 def test_chunks_grow_to_about_a_quarter_of_a_second(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -231,8 +245,8 @@ class Counting(Executor):
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
         outcomes, seconds = fn(*args, **kwargs)
-        self.estimates += len(outcomes)
-        self.scores += sum(len(outcome.scores) for outcome in outcomes)
+        self.estimates += sum(len(outcome.scores[0].trials) for outcome in outcomes)
+        self.scores += sum(len(scores.trials) for outcome in outcomes for scores in outcome.scores)
         future.set_result((outcomes, seconds))
         return future
 
@@ -282,11 +296,11 @@ def test_stored_trials_are_read_once_and_keys_are_made_once(
     read: list[str] = []
     hashed: list[object] = []
     keyed: list[Unit] = []
-    read_one, hash_one, keys_of = Writer.trials, fingerprint.fingerprint, Unit.keys
+    read_one, hash_one, keys_of = Reader.trials, fingerprint.fingerprint, Unit.keys
 
-    def reading(writer: Writer, key: str, below: int) -> list[Trial]:
+    def reading(reader: Reader, key: str, below: int) -> Iterator[Scores]:
         read.append(key)
-        return read_one(writer, key, below)
+        return read_one(reader, key, below)
 
     def hashing(specs: Iterable[Spec]) -> str:
         hashed.append(specs)
@@ -296,14 +310,14 @@ def test_stored_trials_are_read_once_and_keys_are_made_once(
         keyed.append(unit)
         return keys_of(unit, seed, perturbation)
 
-    monkeypatch.setattr(Writer, "trials", reading)
+    monkeypatch.setattr(Reader, "trials", reading)
     monkeypatch.setattr(Unit, "keys", keying)
     monkeypatch.setattr("hident.engine.expansion.fingerprint", hashing)
     outputs = Outputs(plan, lab.folder / "out")
     outputs.state()
     outputs.write(_run(lab, plan)[0], {})
-    stored(plan, Store(lab.folder / "s"))
     assert sorted(read) == sorted(key for keys in plan.keys for key in keys.values())
+    stored(plan, Store(lab.folder / "s"))
     assert len(hashed) == len(keyed) == len(plan.units)
 
 
@@ -337,7 +351,7 @@ def test_a_store_in_memory_holds_the_same_and_a_run_needs_none(lab: Lab) -> None
     run(more, store=store, progress=told)
     assert (told.stored, told.done) == (24, 24 + 8)
     key = plan.keys[0]["mise"]
-    assert [trial.trial for trial in store.trials(key, 7)] == list(range(7))
+    assert np.concatenate([scores.trials for scores in store.trials(key, 7)]).tolist() == list(range(7))
 
 
 def test_another_seed_or_number_of_trials_is_another_plan(lab: Lab) -> None:
@@ -369,4 +383,36 @@ def test_an_error_that_is_not_the_store_s_keeps_its_own_name(lab: Lab) -> None:
     executor = Scripted(2, lambda: OSError("AF_UNIX path too long"))
     with pytest.raises(OSError, match="AF_UNIX path too long"):
         _run(lab, _plan(lab), executor=executor)
-    assert Store(lab.folder / "s").count() == 2
+    assert _count(lab) == 2
+
+
+def test_of_very_many_numbers_a_series_at_a_time_is_read_and_all_comes_out_the_same(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flat, of = {"kind": "expression", "expression": "0*u"}, "system.nonlinearity"
+    cases = {"block": {"flat": {of: flat, "noise": []}, "straight": {of: "identity"}}}
+    plan = _plan(lab, cases=cases, samples=50, tables={})
+    folders = [lab.folder / "held", lab.folder / "read"]
+    held, _ = _run(lab, plan)
+    Outputs(plan, folders[0]).write(held, {})
+    monkeypatch.setattr("hident.engine.runner._HELD", 0)
+    with Store(lab.folder / "s").writing() as writer:
+        read = run(plan, store=writer)
+        assert read.series[0].values is not read.series[0].values
+        Outputs(plan, folders[1]).write(read, {})
+    for name in ("table.csv", "trials.csv.xz", "table.md"):
+        assert len({(folder / name).read_bytes() for folder in folders}) == 1
+    assert [series.reasons for series in read.series] == [series.reasons for series in held.series]
+    assert run(plan).frame().to_csv() == held.frame().to_csv()
+
+
+def test_a_store_that_forgets_while_the_run_goes_is_told_so(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Forgetful(MemoryStore):
+        def add(self, units: Mapping[str, Any], scores: Iterable[tuple[str, Scores]]) -> None:
+            super().add(units, [*scores][:1])
+
+    monkeypatch.setattr("hident.engine.runner._HELD", 0)
+    with pytest.raises(StoreError, match="the trials store was changed while the run was going"):
+        run(_plan(lab), store=Forgetful())

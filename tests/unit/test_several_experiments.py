@@ -8,7 +8,7 @@ import pytest
 from hident import plugins
 from hident.config.spec import Of, component, components
 from hident.engine.preflight import check_records
-from hident.engine.trial import Data, Job, estimate, generate, run_trials
+from hident.engine.trial import Data, Job, estimate, generate
 from hident.errors import ConfigError, EstimationError
 from hident.estimators.base import EstimatorSpec
 from hident.estimators.bilinear_models.ar_noise import METHODS, ArModel
@@ -21,6 +21,7 @@ from hident.metrics.disturbance import DisturbanceVariance
 from hident.numerics.parts import following, in_each, joined, longer_than, whole
 from hident.records import Estimate, Held, Part, Record
 from tests.unit.plans import planned, replaced
+from tests.unit.tried import tried
 
 plugins.load()
 
@@ -55,7 +56,7 @@ def plan(folder, estimator, values="b_1, b_2, a_1, a_2", metric="error", changes
 def errors(plan):
     (unit,) = plan.units
     job = Job(unit.estimator, tuple(unit.metrics.values()))
-    outcomes = run_trials(unit.data, [job], {trial: [0] for trial in range(3)}, plan.experiment.seed)
+    outcomes = tried(unit.data, [job], {trial: [0] for trial in range(3)}, plan.experiment.seed)
     scores = [score for outcome in outcomes for score in outcome.scores]
     assert {score.failure for score in scores} == {""}
     assert not any(score.crash for score in scores)

@@ -4,61 +4,107 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hident.arrays import Array
-from hident.engine.store import Store, Trial
+from hident.engine.blocks import LARGEST, Block, blocks_in, blocks_of
+from hident.engine.scores import Scores
+from hident.engine.store import Count, Store
 from hident.errors import StoreBusy, StoreError
 
 _VALUES = np.array([0.1, -0.0, np.inf, np.nan, 5e-324])
 
 
-def _values(trial: int) -> Array:
-    return np.append(_VALUES, float(trial))
+def _scores(*trials: int, failing: bool = False) -> Scores:
+    """Five odd values and the number of the trial."""
+    values = np.array([np.append(_VALUES, trial) for trial in trials])
+    return Scores(np.array(trials), values, {trial: f"why {trial % 2}" for trial in trials if failing})
 
 
 def _filled(folder: Path, trials: int = 3) -> Store:
     store = Store(folder)
     with store.writing() as writer:
-        writer.add(
-            {"k": {"estimator": "e"}}, [("k", Trial(i, _values(i), f"why {i}")) for i in range(trials)]
-        )
+        writer.add({"k": {"estimator": "e"}}, [("k", _scores(*range(trials), failing=True))])
     return store
 
 
+def _read(store: Store, key: str = "k", below: int = 10) -> list[tuple[int, bytes, str]]:
+    with store.reading() as reader:
+        return [
+            (trial, values.tobytes(), scores.failures.get(trial, ""))
+            for scores in reader.trials(key, below)
+            for trial, values in zip(scores.trials.tolist(), scores.values, strict=True)
+        ]
+
+
+def _trials(store: Store, key: str = "k", below: int = 10) -> list[int]:
+    return [trial for trial, *_ in _read(store, key, below)]
+
+
+def _count(store: Store) -> int:
+    with store.reading() as reader:
+        return reader.count()
+
+
 def test_values_come_back_to_the_last_bit(tmp_path: Path) -> None:
-    found = _filled(tmp_path).read(["k", "unknown"], below=10)
-    assert [(t.trial, t.failure) for t in found["k"]] == [(0, "why 0"), (1, "why 1"), (2, "why 2")]
-    assert [t.values.tobytes() for t in found["k"]] == [_values(i).tobytes() for i in range(3)]
-    assert found["unknown"] == []
+    store = _filled(tmp_path)
+    expected = [(i, np.append(_VALUES, i).tobytes(), f"why {i % 2}") for i in range(3)]
+    assert _read(store) == expected
+    assert _read(store, "unknown") == []
 
 
 def test_only_trials_below_the_wanted_number_are_read_and_in_order(tmp_path: Path) -> None:
     store = Store(tmp_path)
     with store.writing() as writer:
-        for i in (4, 0, 2):
-            writer.add({}, [("k", Trial(i, _VALUES))])
-        assert [t.trial for t in writer.trials("k", 4)] == [0, 2]
-    assert [t.trial for t in store.read(["k"], 5)["k"]] == [0, 2, 4]
+        for trials in ((4, 5, 8), (0,), (2, 3)):
+            writer.add({}, [("k", _scores(*trials, failing=True))])
+        assert [trial for scores in writer.trials("k", 5) for trial in scores.trials] == [0, 2, 3, 4]
+        assert [dict(scores.failures) for scores in writer.trials("k", 5)][-1] == {4: "why 0"}
+        assert writer.counted("k", 10) == Count(6, 6)
+        assert writer.counted("unknown", 10) == Count(0, 0)
+    assert _trials(store, below=6) == [0, 2, 3, 4, 5]
 
 
-def test_a_trial_written_again_replaces_the_first(tmp_path: Path) -> None:
-    store = _filled(tmp_path, 1)
+def test_many_trials_are_blocks_of_which_each_fits_into_a_page(tmp_path: Path) -> None:
+    numbers, reasons = np.arange(5000), {trial: "long" * 40 + str(trial) for trial in range(0, 5000, 7)}
+    many = Scores(numbers, np.random.default_rng(1).normal(size=(5000, 3)), reasons)
+    blocks = list(blocks_of("k", many))
+    assert max(len(data) for _, data in blocks) <= LARGEST
+    assert np.array_equal(np.concatenate([block.scores.trials for block, _ in blocks]), numbers)
+    store = Store(tmp_path)
     with store.writing() as writer:
-        writer.add({}, [("k", Trial(0, np.ones(1)))])
-    assert store.count() == 1
-    assert store.read(["k"], 1)["k"][0].values.tolist() == [1.0]
+        writer.add({}, [("k", many)])
+    expected = [(trial, row.tobytes(), reasons.get(trial, "")) for trial, row in enumerate(many.values)]
+    assert _read(store, below=5000) == expected
+    # At most twice the numbers themselves, besides the reasons and some pages that every store has.
+    assert store.path.stat().st_size < 2 * many.values.nbytes + sum(map(len, reasons.values())) + 8 * 65536
+    one = Scores(np.array([3]), np.ones((1, 9000)), {})
+    assert [len(block.scores.trials) for block, _ in blocks_of("k", one)] == [1]
+
+
+def test_a_block_that_is_changed_anywhere_is_none(tmp_path: Path) -> None:
+    [(_, data)] = blocks_of("key", _scores(4, 5, failing=True))
+    whole = Block.decoded(data)
+    assert whole is not None
+    assert (whole.key, whole.scores.failures) == ("key", {4: "why 0", 5: "why 1"})
+    for place in range(len(data)):
+        changed = bytearray(data)
+        changed[place] ^= 1
+        assert Block.decoded(bytes(changed)) is None
+        assert Block.decoded(data[:place]) is None
+    for odd in ("text", 5, None, b"", b"\x93hident\x03" * 5):
+        assert Block.decoded(odd) is None
 
 
 def test_a_store_that_does_not_exist_is_empty_and_is_not_made_by_reading(tmp_path: Path) -> None:
     store = Store(tmp_path / "none")
-    assert store.count() == 0
-    assert store.read(["k"], 10) == {"k": []}
+    assert (_count(store), _read(store)) == (0, [])
     assert not (tmp_path / "none").exists()
 
 
@@ -69,19 +115,22 @@ def test_opening_a_store_changes_no_byte_of_it(tmp_path: Path) -> None:
     os.utime(store.path, (0, 0))
     with store.writing() as writer:
         list(writer.trials("k", 10))
-    store.read(["k"], 10)
+        assert writer.mended == ""
+    _read(store)
+    store.check()
     assert (store.path.read_bytes(), store.path.stat().st_mtime) == (before, 0.0)
+    assert {path.name for path in tmp_path.iterdir()} == {"trials.sqlite", "lock"}
 
 
 def test_a_chunk_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
-    def chunk() -> Iterator[tuple[str, Trial]]:
-        yield "k", Trial(5, _VALUES)
+    def chunk() -> Iterator[tuple[str, Scores]]:
+        yield "k", _scores(5)
         raise KeyboardInterrupt
 
     store = _filled(tmp_path)
     with pytest.raises(KeyboardInterrupt), store.writing() as writer:
         writer.add({}, chunk())
-    assert store.count() == 3
+    assert _count(store) == 3
 
 
 def test_one_writer_at_a_time(tmp_path: Path) -> None:
@@ -96,8 +145,8 @@ def test_one_writer_at_a_time(tmp_path: Path) -> None:
 def test_reading_goes_on_while_another_writes(tmp_path: Path) -> None:
     store = _filled(tmp_path)
     with store.writing() as writer:
-        writer.add({}, [("k", Trial(7, _VALUES))])
-        assert len(Store(tmp_path).read(["k"], 10)["k"]) == 4
+        writer.add({}, [("k", _scores(7))])
+        assert _trials(Store(tmp_path)) == [0, 1, 2, 7]
 
 
 def test_another_program_that_holds_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,19 +157,26 @@ def test_another_program_that_holds_the_file(tmp_path: Path, monkeypatch: pytest
     other.execute("BEGIN IMMEDIATE")
     locked = pytest.raises(StoreError, match=r"\(database is locked\): another program has it open")
     with locked, store.writing() as writer:
-        writer.add({}, [("k", Trial(9, _VALUES))])
+        writer.add({}, [("k", _scores(9))])
     other.close()
 
 
-def test_key_trial_and_reason_are_part_of_the_checksum(tmp_path: Path) -> None:
-    for change in ("key = 'l'", "trial = 9", "failure = 'other'"):
-        store = _filled(tmp_path / change[:3], 1)
-        connection = sqlite3.connect(store.path)
-        with connection:
-            connection.execute(f"UPDATE trials SET {change}")
-        connection.close()
-        assert store.count() == 1
-        assert store.read(["k", "l"], 10) == {"k": [], "l": []}
+def test_a_block_under_another_key_is_none(tmp_path: Path) -> None:
+    store = _filled(tmp_path, 1)
+    with closing(sqlite3.connect(store.path)) as connection, connection:
+        connection.execute("UPDATE blocks SET key = 'l'")
+    assert _read(store, "k") == _read(store, "l") == []
+
+
+def test_what_is_computed_again_takes_the_place_of_damaged_blocks(tmp_path: Path) -> None:
+    store = _filled(tmp_path, 5)
+    with closing(sqlite3.connect(store.path)) as connection, connection:
+        connection.execute("UPDATE blocks SET data = x'00'")
+    with store.writing() as writer:
+        for trials in ((0, 1), (2, 3, 4)):
+            writer.add({}, [("k", _scores(*trials))])
+    assert _trials(store) == [0, 1, 2, 3, 4]
+    assert _count(store) == 5
 
 
 def test_full_disk_under_the_lock_is_told_by_its_number_and_not_by_its_words(
@@ -157,23 +213,181 @@ def test_errors_of_what_is_done_while_the_store_is_held_are_left_as_they_are(tmp
         pass
 
 
-def test_a_damaged_key_is_seen_before_anything_is_written(tmp_path: Path) -> None:
-    store = Store(tmp_path)
+def _large(folder: Path) -> tuple[Store, list[tuple[int, bytes, str]]]:
+    """A store of 4000 trials in many blocks, and what it holds."""
+    store = Store(folder)
     with store.writing() as writer:
-        writer.add({}, [(f"key {i}", Trial(0, _VALUES)) for i in range(9)])
-    content = store.path.read_bytes()
-    assert content.count(b"key 4") == 1
-    store.path.write_bytes(content.replace(b"key 4", b"key 8"))
-    damaged = pytest.raises(StoreError, match=r"is damaged \(.*\)\. Nothing was changed\. Move it aside")
-    with damaged, store.writing():
-        pytest.fail("it was opened")
+        for first in range(0, 4000, 500):
+            writer.add({"k": {"estimator": "e"}}, [("k", _scores(*range(first, first + 500), failing=True))])
+    return store, _read(store, below=4000)
 
 
-def test_a_store_of_the_first_format_is_refused_with_the_remedy(tmp_path: Path) -> None:
-    store = _filled(tmp_path)
-    connection = sqlite3.connect(store.path)
-    connection.execute("PRAGMA user_version = 1")
-    connection.close()
-    old = pytest.raises(StoreError, match=r"has format 1, and this hident uses format 2: move it aside")
-    with old, store.writing():
-        pytest.fail("it was opened")
+def _flip(key: bytes) -> Callable[[bytearray], None]:
+    def damage(content: bytearray) -> None:
+        place = content.index(key)
+        content[place : place + len(key)] = bytes(byte ^ 1 for byte in key)
+
+    return damage
+
+
+def _zero(first: int, count: int) -> Callable[[bytearray], None]:
+    def damage(content: bytearray) -> None:
+        content[first * 65536 : (first + count) * 65536] = bytes(count * 65536)
+
+    return damage
+
+
+def _swap(content: bytearray) -> None:
+    one, other = content[2 * 65536 : 3 * 65536], content[4 * 65536 : 5 * 65536]
+    content[2 * 65536 : 3 * 65536], content[4 * 65536 : 5 * 65536] = other, one
+
+
+def _version(number: int) -> Callable[[bytearray], None]:
+    def damage(content: bytearray) -> None:
+        content[60:64] = number.to_bytes(4, "big")
+
+    return damage
+
+
+@pytest.mark.parametrize(
+    ("damage", "least"),
+    [
+        (_flip(b"CREATE TABLE blocks"), 4000),
+        (_zero(0, 1), 4000),
+        (_zero(1, 1), 3300),
+        (_zero(5, 1), 2500),
+        (_swap, 4000),
+        (_version(0), 4000),
+        (_version(7), 4000),
+        (lambda content: content.__delitem__(slice(6 * 65536, None)), 500),
+        (lambda content: content.__delitem__(slice(6 * 65536 + 100, None)), 500),
+        (lambda content: content.__setitem__(slice(0, 100), b"garbage " * 12 + b"\0" * 4), 4000),
+    ],
+)
+def test_what_a_damaged_file_still_holds_is_saved_and_the_file_is_kept(
+    tmp_path: Path, damage: Callable[[bytearray], None], least: int
+) -> None:
+    store, before = _large(tmp_path / "s")
+    content = bytearray(store.path.read_bytes())
+    damage(content)
+    store.path.write_bytes(content)
+    with pytest.raises(StoreError, match=r"is damaged \(.*\)\. The next hident run saves what can be read"):
+        store.check()
+    assert store.path.read_bytes() == content
+    with store.writing() as writer:
+        said = writer.mended
+    after = _read(store, below=4000)
+    assert least <= len(after) <= 4000
+    assert set(after) <= set(before)
+    assert f"): {len(after)} scores are saved, and the damaged file is kept as {store.path}.damaged-1" in said
+    assert Path(f"{store.path}.damaged-1").read_bytes() == content
+    store.check()
+    with store.writing() as writer:
+        assert writer.mended == ""
+    assert {path.name for path in store.folder.iterdir()} == {
+        "trials.sqlite",
+        "trials.sqlite.damaged-1",
+        "lock",
+    }
+
+
+def _unfinished(folder: Path) -> tuple[Store, list[tuple[int, bytes, str]]]:
+    """A store whose last trials stand in the log alone, as after a kill."""
+    store, before = _large(folder / "of a run")
+    with store.writing() as writer:
+        for first in range(4000, 5000, 500):
+            writer.add({}, [("k", _scores(*range(first, first + 500), failing=True))])
+        killed = Store(folder / "killed")
+        shutil.copytree(store.folder, killed.folder)
+    (killed.folder / "trials.sqlite-shm").unlink()
+    before = _read(store, below=5000)
+    assert len(before) == 5000
+    return killed, before
+
+
+def test_a_log_is_read_beyond_its_damage(tmp_path: Path) -> None:
+    store, before = _unfinished(tmp_path)
+    log = store.folder / "trials.sqlite-wal"
+    content = bytearray(log.read_bytes())
+    content[40] ^= 1  # in the header of its first frame
+    log.write_bytes(content)
+    with store.writing() as writer:
+        assert writer.mended == ""
+    assert _read(store, below=5000) == before
+
+
+def test_of_a_file_that_is_gone_the_log_is_saved(tmp_path: Path) -> None:
+    store, before = _unfinished(tmp_path)
+    in_log = {block.place for block in blocks_in(store.folder / "trials.sqlite-wal")}
+    assert in_log
+    for gone in (True, False):
+        folder = Store(tmp_path / f"without {gone}")
+        shutil.copytree(store.folder, folder.folder)
+        folder.path.unlink() if gone else folder.path.write_bytes(b"")
+        with folder.writing() as writer:
+            assert "its file is gone, and its log is there" in writer.mended
+        assert len(_read(folder, below=5000)) == sum(count for _, _, count, _ in in_log)
+        assert set(_read(folder, below=5000)) <= set(before)
+
+
+def test_the_log_of_another_store_takes_nothing_away(tmp_path: Path) -> None:
+    store, before = _large(tmp_path / "mine")
+    other = Store(tmp_path / "other")
+    with other.writing() as writer:
+        writer.add({}, [("l", _scores(*range(3000)))])
+        shutil.copy(other.folder / "trials.sqlite-wal", store.folder)
+    with store.writing():
+        pass
+    assert _read(store, below=4000) == before
+
+
+def test_mending_goes_on_where_it_was_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    steps = 0
+
+    class Killed(BaseException):
+        pass
+
+    replace = Path.replace
+    for killed_at in range(9):
+        store, before = _unfinished(tmp_path / str(killed_at))
+        with closing(sqlite3.connect(f"file:{store.path}?immutable=1", uri=True)) as connection:
+            query = "SELECT rootpage FROM sqlite_master WHERE name = 'sqlite_autoindex_units_1'"
+            page = connection.execute(query).fetchone()[0]
+        content = bytearray(store.path.read_bytes())
+        _zero(page - 1, 1)(content)
+        store.path.write_bytes(content)
+        steps = 0
+
+        def counted(path: Path, target: Path, last: int = killed_at) -> Path:
+            nonlocal steps
+            steps += 1
+            if steps > last:
+                raise Killed
+            return replace(path, target)
+
+        monkeypatch.setattr(Path, "replace", counted)
+        try:
+            with store.writing():
+                break
+        except Killed:
+            pass
+        finally:
+            monkeypatch.setattr(Path, "replace", replace)
+        with store.writing() as writer:
+            assert "was damaged" in writer.mended
+        assert _read(store, below=5000) == before
+        left = {path.name.removeprefix("trials.sqlite") for path in store.folder.iterdir()}
+        assert not left & {".part", ".salvaged", "-wal", "-shm"}
+    assert steps >= 4
+
+
+def test_a_store_of_an_earlier_format_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    for number in (1, 2, 4):
+        with closing(sqlite3.connect(store.path)) as connection:
+            connection.execute(f"PRAGMA user_version = {number}")
+        old = pytest.raises(StoreError, match=rf"has format {number}, and this hident uses format 3: move it")
+        with old, store.writing():
+            pytest.fail("it was opened")
+        with old, store.reading():
+            pytest.fail("it was opened")

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from hident.config.expression import FUNCTIONS
 from hident.config.spec import Of, Spec, canonical
-from hident.engine.trial import Data, Job, generate, run_trials
+from hident.engine.trial import Data, Job, generate
 from hident.estimators.nonparametric.least_squares import LeastSquares
 from hident.metrics.values import Value
 from hident.signals import matlab5_streams  # noqa: F401  (registers the kind)
@@ -22,6 +22,7 @@ from hident.signals.streams import NumpyStreams, Role, StreamsSpec
 from hident.systems.blocks import Hammerstein
 from hident.systems.linear import Ar, Fir
 from hident.systems.nonlinearity import Expression
+from tests.unit.tried import tried
 
 ROLES: tuple[Role, ...] = get_args(Role)
 SEED, KEY = 1, 2**100 + 5
@@ -113,9 +114,7 @@ def test_a_stream_that_cannot_be_had_is_missed_in_its_trial_alone():
         noise=(White(std=1.0),),
         streams=matlab5(noise={"state": "3 - trial"}),
     )
-    outcomes = run_trials(
-        data, [Job(LeastSquares(order=1), (Value(of=("a_1",)),))], {t: [0] for t in range(6)}, 1
-    )
+    outcomes = tried(data, [Job(LeastSquares(order=1), (Value(of=("a_1",)),))], {t: [0] for t in range(6)}, 1)
     assert [bool(outcome.scores[0].crash) for outcome in outcomes] == [False] * 3 + [True] * 3
     assert "not -1 (the formula '3 - trial' in trial 4)" in outcomes[3].scores[0].failure
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hident.engine.results import Series
 from hident.ledger.verdicts import judge
 from hident.reports.base import Table, TableSpec
 from hident.reports.tables.writing import written
@@ -83,7 +84,8 @@ def test_failed_trials_are_said(tmp_path):
 
 def test_why_trials_failed_is_said(tmp_path):
     results = made(tmp_path, {("one", "10"): [1.0, np.nan]}, rest=GRID)
-    first = replace(results.series[0], reasons=(("it is singular", 1),))
+    one = results.series[0]
+    first = Series(one.unit, one.metric, one.values, (("it is singular", 1),))
     table = built(replace(results, series=(first, *results.series[1:])))
     assert "1 of 2 trials of estimator 'one' at samples 10 failed (it is singular) and" in table.notes[0]
 

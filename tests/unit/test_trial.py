@@ -12,7 +12,7 @@ from hident import plugins
 from hident.arrays import Array
 from hident.config.spec import component
 from hident.engine.experiment import load
-from hident.engine.trial import Data, Job, Outcome, digest, generate, run_trials
+from hident.engine.trial import Data, Job, digest, generate
 from hident.errors import EstimationError, SimulationError
 from hident.estimators.base import EstimatorSpec
 from hident.estimators.nonparametric.least_squares import LeastSquares
@@ -22,6 +22,7 @@ from hident.records import Estimate, Record, Truth
 from hident.signals.base import NoiseSpec
 from hident.signals.streams import NumpyStreams, Role
 from hident.systems.base import SystemSpec
+from tests.unit.tried import Tried, tried
 
 if TYPE_CHECKING:
     from hident.engine.experiment import Plan
@@ -98,8 +99,8 @@ def _records(plan: Plan, seed: int = 7) -> dict[tuple[int, int], bytes]:
     }
 
 
-def _outcomes(plan: Plan, *jobs: Job, trials: int = 1) -> list[Outcome]:
-    return run_trials(plan.units[0].data, jobs, {trial: range(len(jobs)) for trial in range(trials)}, seed=7)
+def _outcomes(plan: Plan, *jobs: Job, trials: int = 1) -> list[Tried]:
+    return tried(plan.units[0].data, jobs, {trial: range(len(jobs)) for trial in range(trials)}, seed=7)
 
 
 _A = (Value(of=("a_1",)),)
@@ -220,7 +221,7 @@ class Stuck(SystemSpec):
 def test_a_simulation_that_fails_is_a_failed_trial_of_every_estimator(lab: Lab) -> None:
     data = _plan(lab).units[0].data.model_copy(update={"system": Stuck()})
     jobs = [Job(Witness(), _A), Job(Witness(gain=2.0), (*_A, *_A))]
-    outcomes = run_trials(data, jobs, {0: [0, 1], 1: [1]}, seed=7)
+    outcomes = tried(data, jobs, {0: [0, 1], 1: [1]}, seed=7)
     assert [(o.trial, o.job, o.scores[0].failure, o.scores[0].crash) for o in outcomes] == [
         (0, 0, "stopped at t = 3", ""),
         (0, 1, "stopped at t = 3", ""),
@@ -271,9 +272,7 @@ def test_an_estimator_of_many_records_is_asked_for_all_and_fails_where_each_by_i
     last = [generate(data, 7, trial).y[-1] for trial in range(6)]
     limit = float(np.median(last))
     Together.calls.clear()
-    outcomes = run_trials(
-        data, [Job(Together(limit=limit, crash=crash), _A)], {t: [0] for t in range(6)}, seed=7
-    )
+    outcomes = tried(data, [Job(Together(limit=limit, crash=crash), _A)], {t: [0] for t in range(6)}, seed=7)
     # Of the others, one is held against fit.
     assert Together.calls == ([6, 1, 1, 1, 1, 1, 1] if crash else [6, 1])
     for outcome, y in zip(outcomes, last, strict=True):
@@ -323,7 +322,7 @@ def test_a_fit_that_a_subclass_writes_is_used_and_so_is_that_of_one_that_draws(l
     last = [generate(data, 7, trial).y[-1] for trial in range(4)]
     Together.calls.clear()
     wanted = {trial: [0, 1] for trial in range(4)}
-    outcomes = run_trials(data, [Job(Doubled(), _A), Job(Drawing(), _A)], wanted, seed=7)
+    outcomes = tried(data, [Job(Doubled(), _A), Job(Drawing(), _A)], wanted, seed=7)
     assert [o.values[0] for o in outcomes] == [factor * y for y in last for factor in (2.0, 1.0)]
     assert set(Together.calls) == {1}
 
@@ -340,7 +339,7 @@ def test_a_fit_that_a_subclass_writes_is_used_and_so_is_that_of_one_that_draws(l
 def test_a_faulty_fit_many_is_a_crash_of_its_estimator_alone(lab: Lab, how: str, message: str) -> None:
     data = _plan(lab).units[0].data
     wanted = {trial: [0, 1] for trial in range(4)}
-    outcomes = run_trials(data, [Job(Wrong(how=how), _A), Job(Together(), _A)], wanted, seed=7)
+    outcomes = tried(data, [Job(Wrong(how=how), _A), Job(Together(), _A)], wanted, seed=7)
     for outcome in outcomes:
         score = outcome.scores[0]
         if outcome.job:
@@ -363,7 +362,7 @@ def test_a_noise_that_works_in_place_leaves_the_other_trials_of_a_fixed_input_al
     fixed = {"streams": NumpyStreams(fixed=("input",)), "noise": (InPlace(), InPlace())}
     data = _plan(lab).units[0].data.model_copy(update=fixed)
     alone = [generate(data, 7, trial).y[-1] for trial in range(6)]
-    outcomes = run_trials(data, [Job(Together(), _A)], {t: [0] for t in range(6)}, seed=7)
+    outcomes = tried(data, [Job(Together(), _A)], {t: [0] for t in range(6)}, seed=7)
     assert [outcome.values[0] for outcome in outcomes] == alone
 
 
@@ -378,7 +377,7 @@ def test_trials_of_a_fixed_input_share_it_and_simulate_it_once(
         return simulate(self, u, dt)
 
     monkeypatch.setattr(type(data.system), "simulate", counted)
-    run_trials(data, [Job(Together(), _A)], {t: [0] for t in range(6)}, seed=7)
+    tried(data, [Job(Together(), _A)], {t: [0] for t in range(6)}, seed=7)
     assert len(calls) == 1
 
 
@@ -429,6 +428,6 @@ def test_a_simulation_that_fails_in_a_metric_is_a_failed_trial():
             "excitation": {"kind": "iid", "distribution": "gaussian", "std": 1},
         }
     )
-    (outcome,) = run_trials(data, [Job(LeastSquares(order=1), (CannotSimulate(),))], {0: [0]}, 1)
+    (outcome,) = tried(data, [Job(LeastSquares(order=1), (CannotSimulate(),))], {0: [0]}, 1)
     assert [(s.failure, s.crash) for s in outcome.scores] == [("metric: the tank runs dry", "")]
     assert np.isnan(outcome.values).all()
