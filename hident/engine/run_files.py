@@ -20,6 +20,8 @@ CRASHES = "crashes.txt"
 OWN = (RUN, TABLE, PAGE, VERDICTS, TRIALS, CRASHES)
 SENSITIVITY = "sensitivity.csv"
 """How many trials a last bit moves; accept writes it beside the files of the run."""
+BENCHMARKS = "bench.md"
+"""What `make bench` writes to the folder of the accepted results: of no run."""
 _LONGEST = 100
 # The numbers of Windows' devices may be superscripts.
 _DEVICES = re.compile(r"con|prn|aux|nul|(?:com|lpt)[0-9¹²³]")

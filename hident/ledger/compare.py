@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hident.engine.results import STATISTICS
-from hident.engine.run_files import RUN, SENSITIVITY, TABLE, TRIALS
+from hident.engine.run_files import BENCHMARKS, RUN, SENSITIVITY, TABLE, TRIALS
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.ledger.contents import Row, content_differences, decode_table
 from hident.ledger.sensitivity import Sensitivity
@@ -140,7 +140,9 @@ def _files(folder: Path) -> set[str]:
     return {
         path.as_posix()
         for path in paths
-        if path.suffix != ".tmp" and not any(part.startswith(".") for part in path.parts)
+        if path.suffix != ".tmp"
+        and path.as_posix() != BENCHMARKS
+        and not any(part.startswith(".") for part in path.parts)
     }
 
 

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import argparse
 import importlib
+from pathlib import Path
+
+from tests.benchmarks.summary import finish
+from tests.benchmarks.timing import FIGURES
 
 # Those with peak memory come early: a child's begins at what its parent holds when it starts.
 _ALL = ("startup", "scaling", "two_stage", "chen", "brouri", "workers", "trials")
@@ -17,6 +21,7 @@ def main() -> None:
     what = parser.parse_args().what
     for name in _ALL if "all" in what else what:
         importlib.import_module(f"tests.benchmarks.{name}").main()
+    finish(FIGURES, Path("results"))
 
 
 if __name__ == "__main__":

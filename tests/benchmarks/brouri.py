@@ -12,7 +12,7 @@ from hident.engine.executors import pin_blas
 from hident.engine.experiment import load
 from hident.engine.trial import Data, generate
 from hident.estimators.base import EstimatorSpec
-from tests.benchmarks.timing import least, show
+from tests.benchmarks.timing import figure, least, show
 
 _BODE = Path("configs/brouri_bode.yaml")
 _SINE = """
@@ -73,6 +73,8 @@ def row(name: str, data: Data, estimator: EstimatorSpec) -> list[str]:
         _ROUNDS,
     )
     both = taken["simulation"] + taken["estimation"]
+    parts = zip(taken.ratios("simulation", "floor"), taken.ratios("estimation", "floor"), strict=True)
+    figure(f"{name}: over the floor", [sum(part) for part in parts])
     times = taken["simulation"], taken["estimation"], both, taken["floor"]
     return [
         name,

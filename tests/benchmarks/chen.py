@@ -25,7 +25,7 @@ from hident.estimators.moving_horizon.transform.time_weighted import Horizons, K
 from hident.records import Record
 from tests.benchmarks import chen_plain
 from tests.benchmarks.scaling import exponent, per_sample
-from tests.benchmarks.timing import least, seconds, show
+from tests.benchmarks.timing import figure, least, seconds, show
 
 _TABLE_1, _TABLE_2 = Path("configs/chen_table1.yaml"), Path("configs/chen_table2.yaml")
 _SEED = 2009
@@ -81,7 +81,9 @@ def row(name: str, data: Data, specs: list[IterativeSpec]) -> list[str]:
         },
         _ROUNDS,
     )
-    taken |= least({"plain": lambda: plain(record, specs)}, _PLAIN_ROUNDS)
+    taken = taken.joined(least({"plain": lambda: plain(record, specs)}, _PLAIN_ROUNDS))
+    figure(f"{name}: over the floor", taken.ratios("hident", "lstsq"), "3")
+    figure(f"{name}: plain way over hident", taken.ratios("plain", "hident"), "15")
     ours = taken["hident"]
     return [
         name,
@@ -157,6 +159,8 @@ def scaling() -> None:
         for size, one, peak, each in zip(_SIZES, found, peaks, per_sample(_SIZES, peaks), strict=True)
     ]
     rates = {name: exponent(_SIZES[1:], [one[name] for one in found[1:]]) for name in names}
+    for name, rate in rates.items():
+        figure(f"exponent of N from 1e4 on: {name}", [rate], "1.1")
     show(
         "Scaling: time-weighted transforms, and case B of chen_table1 with given partition points",
         ("N", *names, "peak MiB", "bytes/sample"),

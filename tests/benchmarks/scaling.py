@@ -9,7 +9,7 @@ import statistics
 import subprocess
 import sys
 
-from tests.benchmarks.timing import seconds, show
+from tests.benchmarks.timing import figure, seconds, show
 
 _ESTIMATORS = {"kernel (4)": (0, 7), "kernel, filtered (15)": (1, 7), "trigonometric series (7)": (2, 6)}
 """Place in mzyk_table1, and the largest size as a power of ten."""
@@ -22,6 +22,8 @@ def main() -> None:
         sizes = [10**power for power in range(3, largest + 1)]
         found = [measured(job, size) for size in sizes]
         times = [time for time, _ in found]
+        figure(f"exponent of N from 1e4 on: {name}", [exponent(sizes[1:], times[1:])], "1.1")
+        figure(f"{name}: peak MiB at N = {sizes[-1]:.0e}", [found[-1][1] / 2**20], "1024")
         rows = [
             [f"{size:.0e}", f"{time:.3g}", f"{1e9 * time / size:.0f}", f"{peak / 2**20:.0f}", each]
             for size, (time, peak), each in zip(

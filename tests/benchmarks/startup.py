@@ -9,7 +9,7 @@ import tempfile
 from functools import partial
 from pathlib import Path
 
-from tests.benchmarks.timing import seconds, show
+from tests.benchmarks.timing import figure, seconds, show
 
 _RUNS = 5
 
@@ -27,6 +27,7 @@ def main() -> None:
         rows = []
         for name, (arguments, aim) in commands.items():
             taken = [seconds(partial(hident, *arguments)) for _ in range(_RUNS)]
+            figure(f"{name}: seconds", taken, f"{aim:.1f}")
             rows.append([name, f"{statistics.median(taken):.2f}", f"{min(taken):.2f}", f"{aim:.1f}"])
     show(f"Start-up, seconds (of {_RUNS} runs)", ("command", "median", "least", "aim"), rows, ())
 

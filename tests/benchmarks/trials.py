@@ -8,7 +8,7 @@ from hident.engine.executors import pin_blas
 from hident.engine.trial import Data, Job
 from tests.benchmarks import floor, plain
 from tests.benchmarks.table1 import cases, scores
-from tests.benchmarks.timing import interleaved, seconds, show
+from tests.benchmarks.timing import figure, interleaved, seconds, show
 
 _SEED = 2009
 _ROUNDS = 15
@@ -43,6 +43,9 @@ def row(data: Data, jobs: list[Job]) -> list[str]:
         _ROUNDS,
     )
     ours, least, loop = taken["hident"] / count, taken["floor"] / count, taken["plain"]
+    of = f"trial of mzyk_table1, N = {data.samples}"
+    figure(f"{of}: over the floor", taken.ratios("hident", "floor"), "2" if data.samples >= 1000 else "3")
+    figure(f"{of}: plain way over hident", [one * count for one in taken.ratios("plain", "hident")])
     return [
         str(data.samples),
         *(f"{1.0 / time:.0f}" for time in (ours, least)),

@@ -28,7 +28,7 @@ from hident.estimators.bilinear_models.known_basis import BilinearSpec
 from hident.estimators.bilinear_models.two_stage import TwoStage, TwoStageFit, two_stage
 from hident.records import Record
 from hident.signals.matlab5 import normals
-from tests.benchmarks.timing import interleaved, show
+from tests.benchmarks.timing import figure, interleaved, show
 
 _CONFIG = """
 version: 1
@@ -73,6 +73,10 @@ def command(data: Data, spec: TwoStage) -> None:
     at_least = interleaved({"floor": lambda: floor(data, spec)}, _ROUNDS)["floor"] / _CHUNK
     found = [run(trials) for trials in _RUNS]
     fewest, least = _RUNS[0], found[0][1]
+    for trials, (taken, peak) in zip(_RUNS, found, strict=True):
+        of = f"hident run, two-stage algorithm, {trials:.0e} trials"
+        figure(f"{of}: over the floor", [taken / trials / at_least], "3" if trials == 10**4 else "")
+        figure(f"{of}: peak MiB", [peak / 2**20])
     show(
         "hident run, two-stage algorithm, one process, start-up, store and tables included",
         ("trials", "seconds", "trials/s", "hident/floor time", "peak MiB", "bytes/trial"),
@@ -174,6 +178,9 @@ def row(spec: TwoStage, basis: Array, y: Array) -> list[str]:
         _ROUNDS,
     )
     ours, least, loop = taken["hident"], taken["floor"], taken["plain"]
+    of = f"two-stage algorithm, {len(y):.0e} outputs at once"
+    figure(f"{of}: over the floor", taken.ratios("hident", "floor"), "3" if len(y) >= 10**4 else "")
+    figure(f"{of}: plain way over hident", taken.ratios("plain", "hident"))
     return [
         f"{len(y):.0e}",
         *(f"{len(y) / time:.2e}" for time in taken.values()),
@@ -229,6 +236,9 @@ def packages(data: Data, spec: TwoStage) -> None:
         {name: partial(each.fit, exact.u, outputs) for name, each in contenders.items()}, _TURNS
     )
     b, a = spec.true_parameters(exact)
+    ours, *others = taken
+    for other in others:
+        figure(f"two-stage algorithm, {_COMPARED} trials: {other} over {ours}", taken.ratios(other, ours))
     rows = []
     for name, each in contenders.items():
         found = [each.read(fit) for fit in each.fit(exact.u, outputs)]
