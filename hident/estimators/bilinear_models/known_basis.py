@@ -195,15 +195,9 @@ class BilinearSpec(LaggedSpec):
             raise EstimationError("the true nonlinearity is not a combination of the basis functions")
         return normalised(b, a)
 
-    def named(self, b: Array, a: Array, prefix: str = "") -> dict[str, float]:
-        """b_i and a_j, or what belongs to them, by name."""
-        names = [*self.b_names(), *(f"a_{j}" for j in range(1, len(a) + 1))]
-        values = np.concatenate([b, a]).tolist()
-        return {prefix + name: value for name, value in zip(names, values, strict=True)}
-
-    def names(self, prefix: str = "") -> list[str]:
-        """The names that :meth:`named` gives."""
-        return list(self.named(np.zeros(self.lags), np.zeros(len(self.functions())), prefix))
+    def parameters(self) -> list[str]:
+        """The names of b_i and a_j."""
+        return [*self.b_names(), *(f"a_{j}" for j in range(1, len(self.functions()) + 1))]
 
     def nonlinearity(self, a: Array) -> Expansion:
         """The nonlinearity with the coefficients ``a`` (m,)."""

@@ -117,9 +117,9 @@ class BestLinear(EstimatorSpec):
     def draws(self) -> bool:
         return False
 
-    def provides(self) -> frozenset[str]:
+    def names(self) -> list[str]:
         quantities = ("gain", "phase", "noise", "total", "distortion")
-        return frozenset(f"value {quantity}_{k}" for quantity in quantities for k in self.harmonics)
+        return [f"{quantity}_{k}" for quantity in quantities for k in self.harmonics]
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         # It knows both blocks' gains together only.
@@ -133,19 +133,9 @@ class BestLinear(EstimatorSpec):
         require_varying(record.y, "output")
         u, y = self._periods(record)
         found = best_linear_approximation(u, y, np.array(self.harmonics))
-        columns = {
-            "gain": np.abs(found.gain),
-            "phase": np.angle(found.gain),
-            "noise": np.sqrt(found.noise_variance),
-            "total": np.sqrt(found.total_variance),
-            "distortion": np.sqrt(found.distortion_variance),
-        }
-        values = {
-            f"{quantity}_{k}": float(value)
-            for quantity, column in columns.items()
-            for k, value in zip(self.harmonics, column, strict=True)
-        }
-        return Estimate(values=values)
+        variances = found.noise_variance, found.total_variance, found.distortion_variance
+        deviations = np.sqrt(variances).ravel()
+        return Estimate(values=self.named(np.abs(found.gain), np.angle(found.gain), deviations))
 
     def _periods(self, record: Record) -> tuple[Array, Array]:
         """Input and output, each of shape (realisations, periods, samples per period)."""

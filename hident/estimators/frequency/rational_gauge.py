@@ -62,6 +62,17 @@ class RationalFit:
     freedom: int
     misfit: float
 
+    @property
+    def coefficients(self) -> Array:
+        """b and a of the input block, then of the output block."""
+        return np.concatenate([self.input.b, self.input.a, self.output.b, self.output.a])
+
+    @property
+    def errors(self) -> Array:
+        """The standard errors of the coefficients."""
+        first, second = self.input, self.output
+        return np.concatenate([first.b_errors, first.a_errors, second.b_errors, second.a_errors])
+
     def why_misfit(self, level: float) -> str:
         """What to say if chi^2 is above what right blocks exceed with probability ``level``; else empty."""
         large = chi_squared.why_too_large(self.chi2, self.freedom, self.misfit, level)

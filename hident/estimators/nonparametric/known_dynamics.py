@@ -28,6 +28,7 @@ class KnownDynamics(EstimatorSpec):
     """
 
     identifies_dynamics: ClassVar[bool] = True
+    holds = ("linear",)
 
     a: Coefficients = ()
     """Feedback a_1, ..., a_p: v_k = a_1 v_{k-1} + ... + b_0 w_k + ..."""
@@ -41,8 +42,8 @@ class KnownDynamics(EstimatorSpec):
     def draws(self) -> bool:
         return False
 
-    def provides(self) -> frozenset[str]:
-        return frozenset({"linear", *(f"value {name}" for name in self._block().values())})
+    def names(self) -> list[str]:
+        return [*self._block().values()]
 
     def fewest_samples(self) -> int:
         return len(self.a) + 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Annotated, Any, Self
@@ -182,6 +182,9 @@ class NonparametricSpec(EstimatorSpec):
     def regression(self, samples: Record) -> Characteristic:
         """The estimated regression of the output on the input."""
         raise NotImplementedError
+
+    def names(self) -> Sequence[str]:
+        return self.prefilter.names() if self.prefilter else ()
 
     def provides(self) -> frozenset[str]:
         dynamics = self.prefilter.provides() if self.prefilter else frozenset()

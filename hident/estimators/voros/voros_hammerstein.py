@@ -162,6 +162,8 @@ class VorosSpec(EstimatorSpec):
     The first samples of each experiment, as many as the largest lag, serve as past samples only.
     """
 
+    holds = ("nonlinearity", "linear", "response")
+
     n: Annotated[Count, Field(ge=1)]
     """Number n of feedback coefficients a_1, ..., a_n."""
     m: Annotated[Count, Field(ge=1)]
@@ -205,7 +207,7 @@ class VorosSpec(EstimatorSpec):
         # Every parameter but the one of the key term, and one equation more.
         return self.structure().first + self.n + self.m + 2 * self.degree
 
-    def names(self) -> list[str]:
+    def parameters(self) -> list[str]:
         """The names of the parameters a, b, f, g."""
         return [
             *(f"a_{i}" for i in range(1, self.n + 1)),
@@ -213,9 +215,8 @@ class VorosSpec(EstimatorSpec):
             *(f"{segment}_{j}" for segment in "fg" for j in range(1, self.degree + 1)),
         ]
 
-    def provides(self) -> frozenset[str]:
-        values = {f"value {name}" for name in (*self.names(), "iterations", "converged")}
-        return frozenset(values | {"nonlinearity", "linear", "response"})
+    def names(self) -> list[str]:
+        return [*self.parameters(), "iterations", "converged"]
 
     def discrete_step(self, dt: float | None) -> float:
         return super().discrete_step(dt) if self.step is None else self.step
@@ -262,20 +263,18 @@ class VorosSpec(EstimatorSpec):
         return self._estimate(found, ratio * dt)
 
     def _estimate(self, found: Iterations, step: float) -> Estimate:
-        names = self.names()
         theta = found.theta[-1].tolist()
         a, b = theta[: self.n], theta[self.n : self.n + self.m]
         f, g = theta[-2 * self.degree : -self.degree], theta[-self.degree :]
         nonlinearity = TwoSegmentPolynomial(tuple(f), tuple(g))
         linear = TransferFunction(b=(0.0,) * self.delay + tuple(b), a=tuple(a))
-        counts = {"iterations": float(found.count), "converged": float(found.converged)}
         reason = "the parameters rest" if found.converged else "the most iterations are reached"
-        history = History(dict(zip(names, found.theta.T, strict=True)), found.converged, reason)
+        history = History(dict(zip(self.parameters(), found.theta.T, strict=True)), found.converged, reason)
         return Estimate(
             nonlinearity=nonlinearity,
             linear=linear,
             response=at_step(lambda u: self.simulate(nonlinearity, linear, u), step),
-            values=dict(zip(names, theta, strict=True)) | counts,
+            values=self.named(theta, found.count, found.converged),
             details={"history": history},
         )
 

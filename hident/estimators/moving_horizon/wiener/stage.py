@@ -89,14 +89,14 @@ NonlinearitySpec = FourSegmentSpec | PolynomialSpec
 class WienerStage:
     """What the first stage found.
 
-    ``nonlinearity`` is y(v) with x = b_0 v, ``values`` are its parameters by name, ``x`` (N,) is the internal
-    variable (28b), ``phi`` (K, P) the regressors.
+    ``nonlinearity`` is y(v) with x = b_0 v, ``parameters`` are its own as the spec names them, ``x`` (N,) is
+    the internal variable (28b), ``phi`` (K, P) the regressors.
     """
 
     wiener: Wiener
     block: ContinuousTransferFunction
     nonlinearity: Characteristic
-    values: Mapping[str, float]
+    parameters: tuple[float, ...]
     x: Array
     phi: Array
     history: History
@@ -134,12 +134,12 @@ def _four_segment_stage(
     a, b, c = wiener.split(run.path)
     e = 1.0 - c
     block = block_of(a[-1], b[-1], wiener.delay)
-    named = dict(zip(spec.coefficients(), e[-1].tolist(), strict=True))
+    slopes = tuple(e[-1].tolist())
     return WienerStage(
         wiener,
         block,
-        FourSegment(tuple(e[-1].tolist()), lower, upper, block.b[0]),
-        named | {"y_-1": lower, "y_1": upper},
+        FourSegment(slopes, lower, upper, block.b[0]),
+        (*slopes, lower, upper),
         inverse(wiener.y, e[-1], lower, upper),
         run.phi,
         run.history(a, b, dict(zip(spec.coefficients(), e.T, strict=True))),
@@ -157,7 +157,7 @@ def _polynomial_stage(wiener: Wiener, spec: PolynomialSpec, rule: Rule) -> Wiene
         wiener,
         block,
         Polynomial(coefficients=tuple(scaled.tolist())),
-        dict(zip(spec.coefficients(), c[-1].tolist(), strict=True)),
+        tuple(c[-1].tolist()),
         Powers(wiener, spec.degree, x_lin).updated(x_lin, c[-1:], 0.0).x[:, 0],
         run.phi,
         run.history(a, b, dict(zip(spec.coefficients(), c.T, strict=True))),
