@@ -40,11 +40,6 @@ class TwoStageFit:
     a: Array
     theta: Array
 
-    @property
-    def singular_values(self) -> Array:
-        """Those of Theta, the largest first, shape (..., min(n, m))."""
-        return np.asarray(np.linalg.svd(self.theta, compute_uv=False))
-
 
 def leading(theta: Array) -> Array:
     """The left singular vectors (..., n) of ``theta`` (..., n, m) for the largest singular values.

@@ -44,11 +44,6 @@ class Harmonics:
         """s_1, ..., s_p, eq. (35a)."""
         return np.abs(self.values)
 
-    @property
-    def phases(self) -> Array:
-        """phi_1, ..., phi_p in (-pi, pi], eq. (35b) with the quadrant."""
-        return np.angle(self.values)
-
 
 def samples_per_period(omega: float, dt: float) -> int | None:
     """The samples in a period; None if the period is no multiple of the sampling interval."""
