@@ -1,6 +1,5 @@
 """The two-stage algorithm and the regression that it shares with the other bilinear estimators."""
 
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -23,31 +23,28 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False)
 class BestLinearApproximation:
-    """The response ``gain`` (F,) at ``harmonics`` (F,) of the period, and variances of its complex mean.
+    """The response ``gain`` (F,) at the harmonics of the period, and variances of its complex mean.
 
     ``noise_variance`` (F,) is due to noise alone, ``total_variance`` (F,) to noise and stochastic nonlinear
     distortions; both belong to the mean over all R realisations. ``distortion_variance`` (F,) is that of the
     distortions in a single realisation, zero where it is hidden by noise.
     """
 
-    harmonics: NDArray[np.intp]
     gain: Complex
     noise_variance: Array
     total_variance: Array
     distortion_variance: Array
 
 
-def best_linear_approximation(
-    u: Array, y: Array, harmonics: NDArray[np.intp] | None = None
-) -> BestLinearApproximation:
+def best_linear_approximation(u: Array, y: Array, harmonics: NDArray[np.intp]) -> BestLinearApproximation:
     """The best linear approximation from random-phase multisines.
 
     Parameters
     ----------
     u, y : array, shape (R, P, n)
         Input and output in steady state: R realisations of the phases, P periods, n samples in each.
-    harmonics : array of int, shape (F,), optional
-        The excited harmonics; by default those with more than a millionth of the strongest input.
+    harmonics : array of int, shape (F,)
+        Excited harmonics: those with more than a millionth of the strongest input.
 
     Raises
     ------
@@ -67,9 +64,7 @@ def best_linear_approximation(
     inputs = np.fft.rfft(u.mean(axis=1)) / n
     size = np.min(np.abs(inputs), axis=0)
     excited = size > 1e-6 * np.max(size[1:])
-    if harmonics is None:
-        harmonics = np.flatnonzero(excited[1:]) + 1
-    elif np.max(harmonics) >= len(size) or not np.all(excited[harmonics]):
+    if np.max(harmonics) >= len(size) or not np.all(excited[harmonics]):
         silent = [k for k in harmonics if k >= len(size) or not excited[k]]
         raise EstimationError(f"the harmonic {silent[0]} is not excited in every realisation")
     gains = np.fft.rfft(y)[..., harmonics] / (n * inputs[:, None, harmonics])
@@ -78,13 +73,8 @@ def best_linear_approximation(
     gain = each.mean(axis=0)
     total = np.sum(np.abs(each - gain) ** 2, axis=0) / (realisations * (realisations - 1))
     noise_variance = noise.mean(axis=0) / realisations
-    return BestLinearApproximation(
-        harmonics,
-        gain,
-        noise_variance,
-        total,
-        np.maximum(realisations * (total - noise_variance), 0.0),
-    )
+    distortion = np.maximum(realisations * (total - noise_variance), 0.0)
+    return BestLinearApproximation(gain, noise_variance, total, distortion)
 
 
 @component("estimator", "best_linear_approximation", source="Pintelon and Schoukens 2012, section 4.3.1")

@@ -263,19 +263,18 @@ class VorosSpec(EstimatorSpec):
         return self._estimate(found, ratio * dt)
 
     def _estimate(self, found: Iterations, step: float) -> Estimate:
-        theta = found.theta[-1].tolist()
-        a, b = theta[: self.n], theta[self.n : self.n + self.m]
-        f, g = theta[-2 * self.degree : -self.degree], theta[-self.degree :]
-        nonlinearity = TwoSegmentPolynomial(tuple(f), tuple(g))
-        linear = TransferFunction(b=(0.0,) * self.delay + tuple(b), a=tuple(a))
-        reason = "the parameters rest" if found.converged else "the most iterations are reached"
-        history = History(dict(zip(self.parameters(), found.theta.T, strict=True)), found.converged, reason)
+        linear_ones = self.n + self.m
+        a, b, f, g = np.split(found.theta, [self.n, linear_ones, linear_ones + self.degree], axis=1)
+        b = np.pad(b, ((0, 0), (self.delay, 0)))
+        nonlinearity = TwoSegmentPolynomial(tuple(f[-1].tolist()), tuple(g[-1].tolist()))
+        linear = TransferFunction(b=tuple(b[-1].tolist()), a=tuple(a[-1].tolist()))
+        segments = zip(self.parameters()[linear_ones:], np.hstack([f, g]).T, strict=True)
         return Estimate(
             nonlinearity=nonlinearity,
             linear=linear,
             response=at_step(lambda u: self.simulate(nonlinearity, linear, u), step),
-            values=self.named(theta, found.count, found.converged),
-            details={"history": history},
+            values=self.named(found.theta[-1], found.count, found.converged),
+            details={"history": History(a, b, dict(segments), found.converged)},
         )
 
 
