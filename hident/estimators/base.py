@@ -12,10 +12,8 @@ from hident.arrays import Array
 from hident.config.spec import Component
 from hident.errors import EstimationError
 from hident.estimators.normalisation import Normalisation
-from hident.records import Estimate, Record
+from hident.records import Estimate, ModelPart, Record
 
-ModelPart = Literal["nonlinearity", "linear", "continuous", "response"]
-"""A part of an estimate that is no value."""
 Experiments = Literal["one", "at_one_interval", "any"]
 """The records of several experiments that an estimator takes: none, those with one sampling interval, all."""
 

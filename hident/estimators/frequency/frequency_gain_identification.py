@@ -76,7 +76,7 @@ class FrequencyGainIdentification(EstimatorSpec):
     0.89
     """
 
-    holds = ("nonlinearity",)
+    holds = ("nonlinearity", "frequencies")
 
     frequencies: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     """Angular frequencies w_1 < w_2 < ... of the sines, radians per unit of time (or give the band)."""
@@ -181,10 +181,9 @@ class FrequencyGainIdentification(EstimatorSpec):
             tests += ["gauge_chi2", "gauge_chi2_freedom", "gauge_misfit"]
         if self.nonlinearity is not None:
             measured += [f"c_{j}" for j in range(self.degree + 1)]
-        of_sines = ("omega", "order_power", "order_ac", "order_snr")
-        others = [f"{quantity}_{m}" for quantity in of_sines for m in numbers]
+        orders = [f"order_{rule}_{m}" for rule in ("power", "ac", "snr") for m in numbers]
         ranks = ("phase_unknowns", "phase_equations", "phase_rank")
-        return [*with_errors(measured), *others, *ranks, *tests]
+        return [*with_errors(measured), *orders, *ranks, *tests]
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (unit_static_gain("c input_b output_b"),)
@@ -213,9 +212,11 @@ class FrequencyGainIdentification(EstimatorSpec):
             raise EstimationError(gains.why_lost())
         if misfit := gains.why_misfit(self.fit_level):
             raise EstimationError(misfit)
-        others = [self.omega(), *self._orders(found, data.m), *_ranks(gains)]
-        nonlinearity = Polynomial(coefficients=tuple(gains.polynomial.coefficients.tolist()))
-        return Estimate(nonlinearity=nonlinearity, values=self._values(gains, others))
+        return Estimate(
+            nonlinearity=Polynomial(coefficients=tuple(gains.polynomial.coefficients.tolist())),
+            frequencies=self.omega(),
+            values=self._values(gains, [*self._orders(found, data.m), *_ranks(gains)]),
+        )
 
     def _values(self, gains: FrequencyGains, others: list[Any]) -> dict[str, float]:
         """What was measured, with its standard errors, then the ``others``, then what tests the fits."""
