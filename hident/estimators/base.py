@@ -142,6 +142,16 @@ class EstimatorSpec(Component):
         raise NotImplementedError
 
 
+class AtOneInterval(EstimatorSpec):
+    """Base of the estimators that draw nothing, and keep several experiments at one interval apart."""
+
+    def takes_experiments(self) -> Experiments:
+        return "at_one_interval"
+
+    def draws(self) -> bool:
+        return False
+
+
 @runtime_checkable
 class Batched(Protocol):
     """An estimator that estimates from many records at once, faster than one by one (:func:`is_batched`)."""

@@ -98,6 +98,7 @@ class TestParametersAreNamed:
         history = found.details["history"]
         assert isinstance(history, History)
         assert history.converged
+        assert found.linear is not None
         ended = {**found.linear.values(), **found.values}
         for name, course in history.values.items():
             assert len(course) == found.values["iterations"] + 1

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from hident.arrays import Array
 from hident.config.spec import Count, Of
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
+from hident.estimators.base import AtOneInterval, require_finite, require_varying
 from hident.estimators.bilinear_models.bilinear import Regression, normalised, regressors
 from hident.estimators.normalisation import Normalisation, unit_length
 from hident.linear_blocks import TransferFunction
@@ -37,7 +37,7 @@ class Expansion:
         return np.asarray(sum(a * phi(x) for a, phi in zip(self.a, self.functions, strict=True)))
 
 
-class LaggedSpec(EstimatorSpec):
+class LaggedSpec(AtOneInterval):
     """Base of the estimators that regress y(t) on known functions of x(t-delay), x(t-delay-1), ...
 
     The first delay + lags - 1 samples of each experiment serve as lagged inputs only.
@@ -47,12 +47,6 @@ class LaggedSpec(EstimatorSpec):
     """Number n of coefficients of the linear block."""
     delay: Annotated[Count, Field(ge=0)] = 1
     """The first lag: y(t) depends on x(t-delay), ..., x(t-delay-lags+1)."""
-
-    def takes_experiments(self) -> Experiments:
-        return "at_one_interval"
-
-    def draws(self) -> bool:
-        return False
 
     def functions(self) -> tuple[NonlinearitySpec, ...]:
         """phi_1, ..., phi_m."""

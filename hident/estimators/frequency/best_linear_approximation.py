@@ -7,18 +7,15 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from hident.arrays import Array
+from hident.arrays import Array, Complex, Index
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
 from hident.estimators.frequency.harmonics import samples_per_period
 from hident.estimators.normalisation import Normalisation
 from hident.records import Estimate, Periodic, Record
-
-Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +33,7 @@ class BestLinearApproximation:
     distortion_variance: Array
 
 
-def best_linear_approximation(u: Array, y: Array, harmonics: NDArray[np.intp]) -> BestLinearApproximation:
+def best_linear_approximation(u: Array, y: Array, harmonics: Index) -> BestLinearApproximation:
     """The best linear approximation from random-phase multisines.
 
     Parameters

@@ -13,13 +13,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hident.arrays import Array
+from hident.arrays import Array, Flags, Index
 from hident.errors import EstimationError
-
-Complex = NDArray[np.complex128]
-Index = NDArray[np.intp]
 
 AMBIGUITY = """\
 the phases of the two blocks cannot be told apart, only the sums k arg Gi(jw) + arg Go(jkw):
@@ -56,7 +52,7 @@ class FrequencyGrid:
         o[rank] = np.cumsum(new) - 1
         return cls(frequencies, at[rank][new], m, k, o)
 
-    def where(self, seen: NDArray[np.bool_]) -> FrequencyGrid:
+    def where(self, seen: Flags) -> FrequencyGrid:
         """The same frequencies with the harmonics that are ``seen`` (E,) only."""
         return replace(self, m=self.m[seen], k=self.k[seen], o=self.o[seen])
 

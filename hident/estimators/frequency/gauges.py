@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from hident.arrays import Array
+from hident.arrays import Array, Flags, Index
 from hident.config.spec import Count, Real, Spec
 from hident.estimators.frequency.frequency_gain import FrequencyGains
-from hident.estimators.frequency.gauge import FrequencyGrid, Index, Phases, bode_weights, solve_phases
+from hident.estimators.frequency.gauge import FrequencyGrid, Phases, bode_weights, solve_phases
 from hident.estimators.frequency.rational_gauge import RationalFit, fit_rational
 
 Positive = Annotated[Real, Field(gt=0)]
@@ -148,10 +148,10 @@ class KnownPhase(Spec):
         return np.asarray(np.argmin(np.abs(omega[:, None] - grid.inputs), axis=1))
 
 
-def _linked(grid: FrequencyGrid) -> Any:
+def _linked(grid: FrequencyGrid) -> Flags:
     """Whether a frequency (n,) shares a frequency of G_o with another one."""
     shared = np.bincount(grid.o)[grid.o] > 1
-    return np.bincount(grid.m, weights=shared, minlength=len(grid.inputs)) > 0
+    return np.asarray(np.bincount(grid.m, weights=shared, minlength=len(grid.inputs)) > 0)
 
 
 def _solve(

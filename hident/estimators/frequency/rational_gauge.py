@@ -7,15 +7,13 @@ from functools import cached_property
 from itertools import pairwise, product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hident.arrays import Array
+from hident.arrays import Array, Complex, Flags
 from hident.errors import EstimationError
 from hident.estimators.frequency import chi_squared
 from hident.estimators.frequency.gauge import FrequencyGrid, Phases
 from hident.numerics.choices import first_least
 
-Complex = NDArray[np.complex128]
 Orders = tuple[int, int]
 """Degrees (m, n) of a block's numerator and denominator."""
 
@@ -104,7 +102,7 @@ class _Problem:
 
     powers: tuple[Complex, Complex]
     orders: tuple[Orders, Orders]
-    gains: NDArray[np.bool_]
+    gains: Flags
     log_gains: Array
     whiten: Array
     equations: Array

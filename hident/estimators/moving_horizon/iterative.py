@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from hident.arrays import Array
 from hident.config.spec import Count, Flag, Real
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
+from hident.estimators.base import AtOneInterval, require_finite, require_varying
 from hident.estimators.convergence import Unconverged
 from hident.estimators.moving_horizon.searches import StructureSearch
 from hident.estimators.moving_horizon.transform.horizon_least_squares import (
@@ -63,7 +63,7 @@ def under(field: str) -> Iterator[None]:
 ROUNDS = 5
 
 
-class MovingHorizonSpec(EstimatorSpec):
+class MovingHorizonSpec(AtOneInterval):
     """Base of the estimators of continuous-time models over moving horizons.
 
     Every horizon lies inside one experiment. Each experiment begins at rest: its input is zero before it, so
@@ -74,12 +74,6 @@ class MovingHorizonSpec(EstimatorSpec):
     """Delay d, in the unit of dt; need not be a multiple of dt."""
     start: Annotated[Real, Field(ge=0)] = 0.0
     """Time t_0 at which the first horizon starts, counted from the start of each experiment."""
-
-    def takes_experiments(self) -> Experiments:
-        return "at_one_interval"
-
-    def draws(self) -> bool:
-        return False
 
     def fewest_samples(self) -> int:
         return 2

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import AfterValidator
 
 from hident.config.spec import Of, component
-from hident.estimators.base import EstimatorSpec, Experiments, with_errors
+from hident.estimators.base import AtOneInterval, EstimatorSpec, with_errors
 from hident.estimators.moving_horizon.hammerstein.iterative_hammerstein import IterativeHammerstein
 from hident.estimators.moving_horizon.hammerstein.static_functions import (
     PolynomialFunction,
@@ -40,7 +40,7 @@ def _refinable(start: EstimatorSpec) -> EstimatorSpec:
 
 
 @component("estimator", "output_error")
-class OutputError(EstimatorSpec):
+class OutputError(AtOneInterval):
     """The two-stage estimate, refined to the least squared error of the simulated output.
 
     Values besides the parameters and their se_: iterations; step_left, the length of the step that is left,
@@ -66,12 +66,6 @@ class OutputError(EstimatorSpec):
 
     start: Annotated[IterativeSpec, Of("estimator"), AfterValidator(_refinable)]
     """The estimate to start from: iterative_hammerstein or iterative_wiener."""
-
-    def takes_experiments(self) -> Experiments:
-        return self.start.takes_experiments()
-
-    def draws(self) -> bool:
-        return False
 
     def fewest_samples(self) -> int:
         return self.start.fewest_samples()

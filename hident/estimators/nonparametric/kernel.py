@@ -6,10 +6,9 @@ import math
 from typing import Annotated, Literal, assert_never
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from hident.arrays import Array, Characteristic
+from hident.arrays import Array, Characteristic, Index
 from hident.config.spec import Real, Spec, component
 from hident.errors import EstimationError
 from hident.estimators.base import require_finite
@@ -79,7 +78,7 @@ class KernelRegression:
         kernel: KernelName,
         bandwidth: float,
         empty: Empty = "nearest",
-        order: NDArray[np.intp] | None = None,
+        order: Index | None = None,
     ) -> None:
         require_finite(y)
         if order is None:

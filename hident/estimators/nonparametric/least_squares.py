@@ -13,7 +13,7 @@ from pydantic import Field
 from hident.arrays import Array
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite
+from hident.estimators.base import AtOneInterval, require_finite
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.linear_blocks import TransferFunction
 from hident.numerics.least_squares import Factorisation
@@ -63,7 +63,7 @@ def dynamics(a: Array, b: Array, c: float) -> Estimate:
     return Estimate(linear=linear, values={**values, "c": c})
 
 
-class DynamicsSpec(EstimatorSpec):
+class DynamicsSpec(AtOneInterval):
     """Base of the estimators of a linear block by equations with its past outputs.
 
     They refuse an input that follows from its own past as the output does.
@@ -74,12 +74,6 @@ class DynamicsSpec(EstimatorSpec):
 
     order: Annotated[Count, Field(ge=1)]
     """Order p of the autoregression."""
-
-    def takes_experiments(self) -> Experiments:
-        return "at_one_interval"
-
-    def draws(self) -> bool:
-        return False
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (first_coefficient(),)

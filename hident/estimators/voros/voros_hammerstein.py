@@ -20,13 +20,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from hident.arrays import Array, Characteristic
+from hident.arrays import Array, Characteristic, Index
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
+from hident.estimators.base import AtOneInterval, require_finite, require_varying
 from hident.estimators.convergence import History, Unconverged, settle
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.linear_blocks import TransferFunction
@@ -99,12 +98,12 @@ def segments(x: Array, degree: int) -> Array:
     return np.hstack([np.where(negative, 0.0, powers), np.where(negative, powers, 0.0)])
 
 
-def instants(parts: Parts, first: int) -> NDArray[np.intp]:
+def instants(parts: Parts, first: int) -> Index:
     """The samples whose lags are all on record: all but the ``first`` of each experiment."""
     return np.concatenate([np.arange(part.start + first, part.stop) for part in longer_than(parts, first)])
 
 
-def delayed(rows: Array, lags: range, at: NDArray[np.intp]) -> Array:
+def delayed(rows: Array, lags: range, at: Index) -> Array:
     """``rows`` (N,) at t - lag for each lag and each t in ``at``; shape (at, lags)."""
     return rows[at[:, None] - np.asarray(lags, dtype=np.intp)]
 
@@ -156,7 +155,7 @@ def iterate(update: Callable[[Array], tuple[Array, Array]], theta: Array, x: Arr
     return Iterations(np.array(found), False)
 
 
-class VorosSpec(EstimatorSpec):
+class VorosSpec(AtOneInterval):
     """Base of Voros's methods: their fields, the decimation of the record, and their report.
 
     The first samples of each experiment, as many as the largest lag, serve as past samples only.
@@ -190,12 +189,6 @@ class VorosSpec(EstimatorSpec):
     def simulate(self, nonlinearity: Characteristic, linear: TransferFunction, u: Array) -> Array:
         """The response at the method's own step, from rest."""
         raise NotImplementedError
-
-    def takes_experiments(self) -> Experiments:
-        return "at_one_interval"
-
-    def draws(self) -> bool:
-        return False
 
     def structure(self) -> Structure:
         return Structure(self.n, self.m, self.delay, self.degree)
@@ -290,7 +283,7 @@ def at_step(simulate: Characteristic, step: float) -> Response:
         if finer := nearest_whole(dt / step):
             return simulate(np.repeat(u, finer))[::finer]
         if coarser := nearest_whole(step / dt):
-            at: NDArray[np.intp] = np.arange(0, len(u), coarser)
+            at: Index = np.arange(0, len(u), coarser)
             return np.interp(np.arange(len(u)), at, simulate(u[at]))
         raise ValueError(
             f"the sampling interval {dt:g} and the model's step {step:g} do not divide each other"

@@ -131,13 +131,15 @@ def iterates(found: Estimate, history: History) -> Iterator[Estimate | None]:
 
     None where a parameter is not finite or the block is none, as at a start from zero.
     """
-    blocks = {"linear": found.linear, "continuous": found.continuous}
-    for place, row in enumerate(zip(*history.values.values(), strict=True)):
-        values = dict(zip(history.values, map(float, row), strict=True))
-        # Of the history's orders: a first stage's may be lower.
-        now = {"a": tuple(history.a[place].tolist()), "b": tuple(history.b[place].tolist())}
+    blocks: dict[str, Any] = {"linear": found.linear, "continuous": found.continuous}
+    courses = history.values
+    for a, b, *row in zip(history.a.tolist(), history.b.tolist(), *courses.values(), strict=True):
+        values = dict(zip(courses, map(float, row), strict=True))
         try:
-            changed: Any = {name: block and replace(block, **now) for name, block in blocks.items()}
+            # Of the history's orders: a first stage's may be lower.
+            changed = {
+                name: block and replace(block, a=tuple(a), b=tuple(b)) for name, block in blocks.items()
+            }
         except ValueError:
             yield None
             continue

@@ -11,10 +11,9 @@ from functools import partial
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from hident.arrays import Array
+from hident.arrays import Array, Flags
 from hident.config.spec import Count, Spec
 from hident.errors import EstimationError
 from hident.estimators.convergence import History
@@ -180,7 +179,7 @@ def _search(
     """
     low, high = float(levels.min()), float(levels.max())
 
-    def evaluated(lower: Array, upper: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def evaluated(lower: Array, upper: Array) -> tuple[Array, Flags]:
         # Long records are searched in pieces, so that memory does not grow with the number of pairs.
         pieces = min(len(lower), -(-len(levels) * len(lower) * len(upper) // _AT_ONCE))
         loss, converged = [], []

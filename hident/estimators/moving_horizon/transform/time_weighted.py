@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hident.arrays import Array
+from hident.arrays import Array, Index
 from hident.numerics.parts import Parts, whole
 from hident.numerics.whole import split, whole_part
 
@@ -187,7 +187,7 @@ class Horizons:
         """
         return _kept(_held, self, delay)
 
-    def operator(self, weights: Array, kind: NDArray[np.intp], shift: int) -> csr_array:
+    def operator(self, weights: Array, kind: Index, shift: int) -> csr_array:
         """The operator with rows ``weights`` (n + 1, kinds, width) from every start + ``shift`` on.
 
         ``kind`` (count,) tells which weights a horizon has.

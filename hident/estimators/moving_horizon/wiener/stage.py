@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hident.arrays import Array, Characteristic
+from hident.arrays import Array, Characteristic, Flags
 from hident.config.spec import Count, Spec
 from hident.errors import EstimationError
 from hident.estimators.convergence import History
@@ -23,7 +23,6 @@ from hident.estimators.moving_horizon.transform.linear_transform import block_of
 from hident.estimators.moving_horizon.wiener.batched_blocks import time_constants
 from hident.estimators.moving_horizon.wiener.four_segment import FourSegment, forward, inverse
 from hident.estimators.moving_horizon.wiener.iteration import (
-    Flags,
     FourSegments,
     Internal,
     Iterates,
