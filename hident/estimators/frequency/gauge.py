@@ -100,7 +100,12 @@ class Phases:
 
 
 def solve_phases(
-    grid: FrequencyGrid, sums: Array, errors: Array, known: Index, phases: Array, covariance: Array
+    grid: FrequencyGrid,
+    sums: Array,
+    errors: Array,
+    known: Index,
+    phases: Array,
+    covariance: Array | None = None,
 ) -> Phases:
     """All phases from the sums and declared phases of G_i, by weighted least squares.
 
@@ -112,13 +117,14 @@ def solve_phases(
     known : array of int, shape (r,)
         The frequencies at which the phase of G_i is declared.
     phases, covariance : array, shapes (r,) and (r, r)
-        The declared phases and their covariance.
+        The declared phases and their covariance; without it they are exact.
 
     Returns
     -------
     Phases
         nan where the declared phases and the sums leave a phase open.
     """
+    covariance = np.zeros((len(phases), len(phases))) if covariance is None else covariance
     used = np.isfinite(sums) & np.isfinite(errors)
     n, total = len(grid.inputs), grid.equations.shape[1]
     free = np.setdiff1d(np.arange(total), known)

@@ -134,7 +134,7 @@ class KnownPhase(Spec):
         for (omega, _), m in zip(self.at, known, strict=True):
             if not math.isclose(omega, grid.inputs[m], rel_tol=1e-9):
                 raise ValueError(f"a phase is given at {omega:g}, which is not among the frequencies")
-        test = _solve(grid, np.zeros(len(grid.m)), np.ones(len(grid.m)), known, np.zeros(len(known)))
+        test = solve_phases(grid, np.zeros(len(grid.m)), np.ones(len(grid.m)), known, np.zeros(len(known)))
         if np.isnan(test.input).any():
             open_ = grid.inputs[np.isnan(test.input)][0]
             raise ValueError(f"the known phases leave the phase of G_i at {open_:g} open: give it there too")
@@ -154,20 +154,8 @@ def _linked(grid: FrequencyGrid) -> Flags:
     return np.asarray(np.bincount(grid.m, weights=shared, minlength=len(grid.inputs)) > 0)
 
 
-def _solve(
-    grid: FrequencyGrid,
-    sums: Array,
-    errors: Array,
-    known: Index,
-    phases: Array,
-    covariance: Array | None = None,
-) -> Phases:
-    covariance = np.zeros((len(phases), len(phases))) if covariance is None else covariance
-    return solve_phases(grid, sums, errors, known, phases, covariance)
-
-
 def _solved(found: FrequencyGains, known: Index, phases: Array, covariance: Array | None = None) -> Phases:
-    return _solve(found.grid, found.sums, found.sum_errors, known, phases, covariance)
+    return solve_phases(found.grid, found.sums, found.sum_errors, known, phases, covariance)
 
 
 GAUGES: dict[str, type[DelayFree] | type[MinimumPhase] | type[Rational] | type[KnownPhase]] = {

@@ -26,7 +26,6 @@ from hident.numerics.whole import split, whole_part
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# A number of samples this close to a whole one is that.
 _STENCIL = 6
 _SAMPLES_PER_HALF_WAVE = 4
 _LARGEST_KEPT = 400_000

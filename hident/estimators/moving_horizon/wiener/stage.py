@@ -89,7 +89,7 @@ class WienerStage:
     """What the first stage found.
 
     ``nonlinearity`` is y(v) with x = b_0 v, ``parameters`` are its own as the spec names them, ``x`` (N,) is
-    the internal variable (28b), ``phi`` (K, P) the regressors.
+    the internal variable (28b), ``phi`` (K, P) the regressors; x was updated ``iterations`` times.
     """
 
     wiener: Wiener
@@ -98,13 +98,9 @@ class WienerStage:
     parameters: tuple[float, ...]
     x: Array
     phi: Array
+    iterations: int
     history: History
     partition: PartitionSearch | None = None
-
-    @property
-    def iterations(self) -> int:
-        """How many times the internal variable was updated."""
-        return len(self.history.b) - 1
 
 
 def first_stage(wiener: Wiener, spec: NonlinearitySpec, rule: Rule, start: float) -> WienerStage:
@@ -141,6 +137,7 @@ def _four_segment_stage(
         (*slopes, lower, upper),
         inverse(wiener.y, e[-1], lower, upper),
         run.phi[0],
+        int(run.iterations[0]),
         History(a, b, dict(zip(spec.coefficients(), e.T, strict=True)), bool(run.converged[0])),
     )
 
@@ -159,6 +156,7 @@ def _polynomial_stage(wiener: Wiener, spec: PolynomialSpec, rule: Rule) -> Wiene
         tuple(c[-1].tolist()),
         Powers(wiener, spec.degree, x_lin).updated(x_lin, c[-1:], 0.0).x[:, 0],
         run.phi[0],
+        int(run.iterations[0]),
         History(a, b, dict(zip(spec.coefficients(), c.T, strict=True)), bool(run.converged[0])),
     )
 
