@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Flags = NDArray[np.bool_]
+Index = NDArray[np.intp]
 
 Characteristic = Callable[[Array], Array]
 """A static function of an array, elementwise."""

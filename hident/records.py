@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeVar, cast
+from typing import Any, Literal, TypeVar, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from hident.numerics.parts import Parts, whole
 _UNEVEN = 1e-3
 
 T = TypeVar("T")
+ModelPart = Literal["nonlinearity", "linear", "continuous", "response", "frequencies"]
+"""A part of an estimate that is no value."""
 Response = Callable[[Array, float], Array]
 """The noise-free output (N,) to an input (N,), given the sampling interval."""
 
@@ -208,8 +210,9 @@ class Estimate:
     """What an estimator returns; a part that it does not estimate is None or empty.
 
     ``nonlinearity`` takes and gives arrays of one shape; ``linear`` and ``continuous`` are the linear block
-    in discrete and in continuous time, ``response`` the whole model; ``values`` are parameters by name.
-    ``details`` holds what only a figure of one trial shows, such as a search or the history of an iteration.
+    in discrete and in continuous time, ``response`` the whole model; ``values`` are parameters by name, and
+    ``frequencies`` (n,) the angular ones that values such as ``gain_i_1`` number. ``details`` holds what only
+    a figure of one trial shows, such as a search or the history of an iteration.
 
     Examples
     --------
@@ -222,9 +225,10 @@ class Estimate:
     linear: TransferFunction | None = None
     continuous: ContinuousTransferFunction | None = None
     response: Response | None = None
+    frequencies: Array | None = None
     values: Mapping[str, float] = field(default_factory=dict)
     details: Mapping[str, Any] = field(default_factory=dict)
 
     def provides(self) -> frozenset[str]:
         """The parts that it holds, spelled as in :meth:`Truth.provides`."""
-        return _provided(self, ("nonlinearity", "linear", "continuous", "response"))
+        return _provided(self, get_args(ModelPart))

@@ -93,8 +93,8 @@ class Square(SystemSpec):
 class Probe(EstimatorSpec):
     """A probe."""
 
-    def provides(self):
-        return frozenset({"value a_1"})
+    def names(self):
+        return ["a_1"]
 
     def fit(self, record, rng):
         value = float(record.u.sum() + 1e3 * record.y.sum())

@@ -6,12 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar, Literal, Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hident.arrays import Array
 from hident.config.spec import Component
 from hident.errors import EstimationError
 from hident.estimators.normalisation import Normalisation
-from hident.records import Estimate, Record
+from hident.records import Estimate, ModelPart, Record
 
 Experiments = Literal["one", "at_one_interval", "any"]
 """The records of several experiments that an estimator takes: none, those with one sampling interval, all."""
@@ -32,10 +33,29 @@ class EstimatorSpec(Component):
 
     identifies_dynamics: ClassVar[bool] = False
     """Whether the estimate always holds a discrete linear block, so that it can serve as a prefilter."""
+    holds: ClassVar[tuple[ModelPart, ...]] = ()
+    """The parts of the estimate besides its values."""
+
+    def names(self) -> Sequence[str]:
+        """The names of the estimate's values, in the order in which :meth:`named` takes them."""
+        return ()
 
     def provides(self) -> frozenset[str]:
-        """The parts of the estimate: ``nonlinearity``, ``linear`` and ``value NAME`` for each value."""
-        raise NotImplementedError
+        """The parts of the estimate: those that it ``holds``, and ``value NAME`` for each value."""
+        return frozenset((*self.holds, *(f"value {name}" for name in self.names())))
+
+    def named(self, *values: ArrayLike) -> dict[str, float]:
+        """The values by their names: numbers and arrays, one after the other.
+
+        Raises
+        ------
+        ValueError
+            If there are more or fewer than names.
+        """
+        names, numbers = self.names(), np.hstack(values).astype(float).tolist()
+        if len(names) != len(numbers):
+            raise ValueError(f"{self.kind} names {len(names)} values, and its estimate has {len(numbers)}")
+        return dict(zip(names, numbers, strict=True))
 
     def fewest_samples(self) -> int:
         """The shortest record that the method accepts."""
@@ -122,6 +142,16 @@ class EstimatorSpec(Component):
         raise NotImplementedError
 
 
+class AtOneInterval(EstimatorSpec):
+    """Base of the estimators that draw nothing, and keep several experiments at one interval apart."""
+
+    def takes_experiments(self) -> Experiments:
+        return "at_one_interval"
+
+    def draws(self) -> bool:
+        return False
+
+
 @runtime_checkable
 class Batched(Protocol):
     """An estimator that estimates from many records at once, faster than one by one (:func:`is_batched`)."""
@@ -146,6 +176,11 @@ def is_batched(estimator: EstimatorSpec) -> TypeGuard[Batched]:
         next(i for i, cls in enumerate(order) if name in vars(cls)) for name in ("fit", "fit_many")
     )
     return fit_many <= fit
+
+
+def with_errors(names: Sequence[str]) -> list[str]:
+    """The names, then those of their standard errors."""
+    return [*names, *(f"se_{name}" for name in names)]
 
 
 def require_finite(y: Array) -> None:

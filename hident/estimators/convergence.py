@@ -15,11 +15,22 @@ Unconverged = Literal["fail", "keep"]
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """Parameters by name, each of shape (K,) with a value for each iterate; ``details["history"]``."""
+    """The parameters of K iterates; ``details["history"]``.
 
-    values: Mapping[str, Array]
+    ``a`` (K, n) and ``b`` (K, m + 1) are the linear block's a_1, ..., a_n and b_0, ..., b_m, the ``others``
+    are of shape (K,) each.
+    """
+
+    a: Array
+    b: Array
+    others: Mapping[str, Array]
     converged: bool
-    reason: str
+
+    @property
+    def values(self) -> dict[str, Array]:
+        """All parameters (K,) by name."""
+        feedback = {f"a_{i}": one for i, one in enumerate(self.a.T, start=1)}
+        return feedback | {f"b_{i}": one for i, one in enumerate(self.b.T)} | {**self.others}
 
 
 def settle(converged: bool, iterations: int, unconverged: Unconverged) -> None:

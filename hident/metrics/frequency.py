@@ -146,9 +146,11 @@ class _True(_OfResponses):
     def check(self, scored: Scored) -> None:
         _check_static_gains(scored)
 
-    def truths(self, record: Record, omega: Mapping[int, float]) -> list[float]:
-        """The true values, given the frequencies w_m by their numbers m."""
-        return [true_response(name, needed(record.truth), omega[_parsed(name)[1]]) for name in self.of]
+    def truths(self, record: Record, omega: Array) -> list[float]:
+        """The true values, given the frequencies w_1, w_2, ..."""
+        numbers = [_parsed(name)[1] for name in self.of]
+        pairs = zip(self.of, numbers, strict=True)
+        return [true_response(name, needed(record.truth), omega[m - 1]) for name, m in pairs]
 
 
 def _factors(name: str) -> tuple[str, ...]:
@@ -200,7 +202,7 @@ class TrueResponse(_True):
                 raise ValueError(f"asks for {name}, and the record has sines at {known} frequencies")
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        return self.truths(record, dict(enumerate(sine_frequencies(record).tolist(), start=1)))
+        return self.truths(record, sine_frequencies(record))
 
 
 @component("metric", "response_error")
@@ -213,7 +215,7 @@ class ResponseError(_Estimated, _True):
     >>> block = hi.Continuous(a=[1])
     >>> system = hi.WienerHammerstein(input_linear=block, nonlinearity="identity", output_linear=block)
     >>> record = hi.simulate(system, hi.Sine(frequency=1), 8, dt=0.1)
-    >>> estimate = hi.Estimate(values={"omega_1": 1.0, "gain_i_1": 0.8})
+    >>> estimate = hi.Estimate(frequencies=np.array([1.0]), values={"gain_i_1": 0.8})
     >>> round(hi.score(estimate, record, error=hi.ResponseError(of=["gain_i_1"]))["error gain_i_1"], 3)
     0.093
     """
@@ -222,12 +224,10 @@ class ResponseError(_Estimated, _True):
     """In percent of the true gain or phase."""
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        numbers = {_parsed(name)[1] for name in self.of}
-        true = self.truths(record, {m: estimate.values[f"omega_{m}"] for m in numbers})
-        errors = []
+        true, errors = self.truths(record, needed(estimate.frequencies)), []
         for name, found, at in zip(self.of, self.estimates(estimate), true, strict=True):
             error = found - at
-            if name.startswith("phase"):
+            if _parsed(name)[0].startswith("phase"):
                 error = math.remainder(error, 2.0 * math.pi)
             if self.relative:
                 error = 100.0 * error / at if at else math.nan
@@ -235,7 +235,7 @@ class ResponseError(_Estimated, _True):
         return errors
 
     def needs_of_estimate(self) -> frozenset[str]:
-        return super().needs_of_estimate() | {f"value omega_{_parsed(name)[1]}" for name in self.of}
+        return super().needs_of_estimate() | {"frequencies"}
 
 
 @component("metric", "gain_shape_error")
@@ -263,28 +263,25 @@ class GainShapeError(MetricSpec):
         return frozenset({"blocks"})
 
     def needs_of_estimate(self) -> frozenset[str]:
-        numbered = enumerate(self.harmonics, start=1)
         return frozenset(
-            f"value gain_{k} or value {part}"
-            for m, k in numbered
-            for part in (f"omega_{m}", *_factors(f"series_gain_{m}"))
+            f"value gain_{k} or {part}"
+            for m, k in enumerate(self.harmonics, start=1)
+            for part in ("frequencies", *(f"value {factor}" for factor in _factors(f"series_gain_{m}")))
         )
 
     def check(self, scored: Scored) -> None:
         _check_static_gains(scored)
-        single = f"value gain_{self.harmonics[0]}" in scored.provides
+        single = "frequencies" not in scored.provides
         if single and not any(isinstance(s.excitation, Multisine) for s in scored.stretches()):
             raise ValueError("counts the harmonics of multisines, and the record has none")
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        names = [f"gain_{k}" for k in self.harmonics]
-        if names[0] in estimate.values:
+        if estimate.frequencies is None:
             omega = np.array(self.harmonics) * _lowest_frequency(record)
-            found = [estimate.values[name] for name in names]
+            found = [estimate.values[f"gain_{k}"] for k in self.harmonics]
         else:
-            numbers = range(1, len(names) + 1)
-            omega = np.array([estimate.values[f"omega_{m}"] for m in numbers])
-            found = [_product(f"series_gain_{m}", estimate.values) for m in numbers]
+            omega = estimate.frequencies[: len(self.harmonics)]
+            found = [_product(f"series_gain_{m}", estimate.values) for m in range(1, len(omega) + 1)]
         blocks = needed(record.truth).blocks
         away = np.log(found / (gain(blocks["input"], omega) * gain(blocks["output"], omega)))
         return (100.0 * float(np.std(away, ddof=1)),)

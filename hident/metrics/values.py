@@ -81,7 +81,7 @@ class Error(_EachValue, _AgainstTruth):
 
 
 @component("metric", "true_value")
-class TrueValue(_EachValue):
+class TrueValue(_EachValue, _AgainstTruth):
     """The true values themselves, such as a steady state that the paper prints.
 
     Examples
@@ -92,9 +92,6 @@ class TrueValue(_EachValue):
     >>> hi.score(hi.Estimate(), record, true=hi.TrueValue(of=["a_1"]))
     {'true a_1': 0.5}
     """
-
-    def needs_of_truth(self) -> frozenset[str]:
-        return frozenset(f"value {name}" for name in self.of)
 
     def needs_of_estimate(self) -> frozenset[str]:
         return frozenset()

@@ -114,15 +114,31 @@ def band_edge(look: Look) -> Look:
     return {**look, "linewidth": 0.6, "alpha": 0.6, "marker": ""}
 
 
-def panel_grid(count: int, columns: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
-    """A figure of so many panels of a size in inches, row by row."""
+def panel_rows(
+    count: int, columns: int, size: tuple[float, float], around: tuple[float, float], **options: Any
+) -> tuple[Figure, Any]:
+    """A figure of so many panels of a size in inches, with room around them, and the rows of its axes."""
     columns = min(columns, count)
     rows = -(-count // columns)
-    size = (width * columns + 0.4, height * rows + 0.5)
-    figure, grid = subplots(rows, columns, squeeze=False, figsize=size)
+    figsize = (size[0] * columns + around[0], size[1] * rows + around[1])
+    figure, grid = subplots(rows, columns, squeeze=False, figsize=figsize, **options)
     for axes in grid.flat[count:]:
         axes.set_visible(False)
+    return figure, grid
+
+
+def panel_grid(count: int, columns: int, width: float, height: float) -> tuple[Figure, list[Axes]]:
+    """A figure of so many panels of a size in inches, row by row."""
+    figure, grid = panel_rows(count, columns, (width, height), (0.4, 0.5))
     return figure, list(grid.flat[:count])
+
+
+def label_edges(grid: Any, x_label: str, y_label: str) -> None:
+    """Label the abscissas of the lowest row of axes, and the ordinates of the first column."""
+    for axes in grid[-1]:
+        axes.set_xlabel(x_label)
+    for axes in grid[:, 0]:
+        axes.set_ylabel(y_label)
 
 
 def legend_above(figure: Figure) -> None:

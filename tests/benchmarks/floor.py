@@ -10,9 +10,8 @@ import math
 import numpy as np
 from scipy.signal import lfilter
 
-from hident.arrays import Array
+from hident.arrays import Array, Complex
 from hident.engine.trial import Data
-from hident.estimators.nonparametric.fourier import Complex
 from tests.benchmarks.table1 import ALPHA, FEEDBACK, H0, HALF_WIDTH, LENGTH, Q0
 
 _BLOCK = 1024

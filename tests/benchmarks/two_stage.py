@@ -289,7 +289,7 @@ def hidents(spec: TwoStage, exact: Record) -> dict[str, Contender]:
         def fit(x: Array, outputs: Array) -> list[Array]:
             rng = np.random.default_rng(_SEED)
             fits = (estimator.fit(Record(x, y), rng).values for y in outputs)
-            return [np.array([values[name] for name in spec.names()]) for values in fits]
+            return [np.array([values[name] for name in spec.parameters()]) for values in fits]
 
         return Contender(fit, read)
 

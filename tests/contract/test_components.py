@@ -22,7 +22,7 @@ from hident.estimators.nonparametric.bases import BasisSpec
 from hident.metrics.base import MetricSpec
 from hident.metrics.nonlinearity import IntegratedSquaredError
 from hident.metrics.values import Value
-from hident.records import Record
+from hident.records import ModelPart, Record
 from hident.reports.base import FigureSpec, TableSpec
 from hident.signals.base import ExcitationSpec, NoiseSpec
 from hident.signals.streams import NumpyStreams, StreamsSpec
@@ -458,8 +458,7 @@ class TestEveryEstimator:
 
     def test_provides_what_it_says(self, example):
         found, _ = _fit(example, generate(_data(example), 1, 0))
-        parts = {part: getattr(found, part) for part in ("nonlinearity", "linear", "continuous", "response")}
-        given = {name for name, part in parts.items() if part is not None}
+        given = {name for name in get_args(ModelPart) if getattr(found, name) is not None}
         assert given | {f"value {name}" for name in found.values} == _spec(example).provides()
         assert all(isinstance(value, float) for value in found.values.values())
 

@@ -27,8 +27,8 @@ from hident.records import Estimate
 class MeanOfOutput(EstimatorSpec):
     """The mean of the output."""
 
-    def provides(self):
-        return frozenset({"value mean"})
+    def names(self):
+        return ["mean"]
 
     def fit(self, record, rng):
         return Estimate(values={"mean": float(record.y.mean())})

@@ -203,8 +203,8 @@ def test_what_is_defined_at_a_prompt_runs_here_only(tmp_path, monkeypatch):
     class Typed(EstimatorSpec):
         """Of no file."""
 
-        def provides(self):
-            return frozenset({"value a_1"})
+        def names(self):
+            return ["a_1"]
 
         def fit(self, record, rng=None):
             return hi.Estimate(values={"a_1": rng.random()})

@@ -13,7 +13,6 @@ from hident.estimators.bilinear_models.bilinear import (
     loss,
     normalised,
     regressors,
-    root_of,
 )
 from hident.estimators.bilinear_models.bilinear_least_squares import (
     BilinearLeastSquares,
@@ -92,9 +91,8 @@ def test_theorem_1_the_two_stage_estimate_is_the_optimum_for_the_inverse_gram_ma
 @pytest.mark.parametrize("seed", range(3))
 def test_theorem_3_any_weighting(seed):
     _, phi, y = noisy(seed + 10)
-    factor = np.random.default_rng(seed).normal(size=(len(y), len(y)))
-    root = root_of(factor @ factor.T + len(y) * np.eye(len(y)))
-    first_stage = Regression.of(phi, 2, root)
+    root = np.random.default_rng(seed).normal(size=(len(y), len(y))) + np.sqrt(len(y)) * np.eye(len(y))
+    first_stage = Regression.of(phi, 2, lambda signals: signals @ root.T)
     expected = two_stage(first_stage, y)
     # W-tilde of theorem 3
     optimum = bilinear_least_squares(Regression.of(phi, 2, inverse_gram(first_stage)), y, B, A)

@@ -57,8 +57,8 @@ class Erring(EstimatorSpec):
 
     raises: str = ""
 
-    def provides(self) -> frozenset[str]:
-        return frozenset({"value a_1"})
+    def names(self) -> list[str]:
+        return ["a_1"]
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         if self.raises:

@@ -197,8 +197,8 @@ def scaled(x):
 class Own(EstimatorSpec):
     """An estimator."""
 
-    def provides(self):
-        return frozenset({"value a"})
+    def names(self):
+        return ["a"]
 
     def fit(self, record, rng):
         return Estimate(values={"a": scaled(1.0)})

@@ -77,29 +77,30 @@ def test_names_mean_what_they_say():
 
 
 def test_estimates_and_errors():
-    values = {"gain_i_1": 0.9, "gain_o_1_1": 0.5, "phase_i_1": -0.1, "omega_1": 0.01}
+    values, omega = {"gain_i_1": 0.9, "gain_o_1_1": 0.5, "phase_i_1": -0.1}, np.array([0.01])
+    estimate = Estimate(frequencies=omega, values=values)
     at = record(sine(0.01))
     names = ("series_gain_1", "phase_i_1")
-    assert Response(of=names).evaluate(Estimate(values=values), at) == pytest.approx([0.45, -0.1])
+    assert Response(of=names).evaluate(estimate, at) == pytest.approx([0.45, -0.1])
     true = np.array(TrueResponse(of=names).evaluate(Estimate(), at))
-    error = ResponseError(of=names).evaluate(Estimate(values=values), at)
+    error = ResponseError(of=names).evaluate(estimate, at)
     assert error == pytest.approx(np.array([0.45, -0.1]) - true)
-    percent = ResponseError(of=names, relative=True).evaluate(Estimate(values=values), at)
+    percent = ResponseError(of=names, relative=True).evaluate(estimate, at)
     assert percent == pytest.approx(100.0 * (np.array([0.45, -0.1]) / true - 1.0))
     assert ResponseError(of=names).needs_of_estimate() == {
+        "frequencies",
         "value gain_i_1",
         "value gain_o_1_1",
-        "value omega_1",
         "value phase_i_1",
     }
-    turned = values | {"phase_i_1": -0.1 + 2.0 * math.pi}
-    assert ResponseError(of=names).evaluate(Estimate(values=turned), at) == pytest.approx(error)
+    turned = Estimate(frequencies=omega, values=values | {"phase_i_1": -0.1 + 2.0 * math.pi})
+    assert ResponseError(of=names).evaluate(turned, at) == pytest.approx(error)
 
 
 def test_errors_are_taken_at_the_frequencies_of_the_estimate():
     at = record(sine(0.01), sine(0.02))
     second = true_response("gain_i_2", TRUTH, 0.02)
-    estimate = Estimate(values={"gain_i_1": second, "omega_1": 0.02})
+    estimate = Estimate(frequencies=np.array([0.02]), values={"gain_i_1": second})
     assert ResponseError(of=("gain_i_1",)).evaluate(estimate, at) == pytest.approx([0.0], abs=1e-15)
 
 
@@ -138,11 +139,11 @@ def test_the_shape_of_the_gain_is_blind_to_a_factor_only():
     linear = {"gain_1": 7.0 * true[0], "gain_3": 7.0 * true[1]}
     assert metric.evaluate(Estimate(values=linear), at)[0] == pytest.approx(0.0, abs=1e-10)
     sines = {f"gain_i_{m}": 3.0 for m in (1, 2)} | {f"gain_o_{m}_1": true[m - 1] for m in (1, 2)}
-    sines |= {f"omega_{m}": omega for m, omega in enumerate(OMEGA, start=1)}
-    assert metric.evaluate(Estimate(values=sines), at)[0] == pytest.approx(0.0, abs=1e-10)
+    found = Estimate(frequencies=OMEGA, values=sines)
+    assert metric.evaluate(found, at)[0] == pytest.approx(0.0, abs=1e-10)
     sines["gain_i_2"] *= 1.02
     expected = 100.0 * math.log(1.02) / math.sqrt(2.0)
-    assert metric.evaluate(Estimate(values=sines), at)[0] == pytest.approx(expected)
+    assert metric.evaluate(found, at)[0] == pytest.approx(expected)
 
 
 def simulated():

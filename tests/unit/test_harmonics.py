@@ -40,7 +40,7 @@ def test_whole_periods_are_exact(n, periods):
     assert abs(found.mean - 50.0) < 1e-12
     np.testing.assert_allclose(found.values, S * np.exp(1j * PHI), rtol=0, atol=1e-12)
     np.testing.assert_allclose(found.amplitudes, S, atol=1e-12)
-    np.testing.assert_allclose(found.phases, PHI, atol=1e-10)
+    np.testing.assert_allclose(np.angle(found.values), PHI, atol=1e-10)
 
 
 @QUICK

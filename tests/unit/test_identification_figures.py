@@ -110,9 +110,7 @@ class Stated(EstimatorSpec):
             response=lambda u, dt: LINEAR.respond(self.gain * np.tanh(u), dt),
             values=values,
             details={
-                "history": History(
-                    {"a_1": 2.0 + wave, "b_0": 1.0 + 0.1 * wave}, not self.oscillates, "by the test"
-                ),
+                "history": History(2.0 + wave[:, None], 1.0 + 0.1 * wave[:, None], {}, not self.oscillates),
                 "partition": partition_search(),
                 "structure": structure_search(),
                 "internal_variable": np.stack((record.u, x)),
@@ -461,15 +459,15 @@ class TestConvergence:
         found = replace(
             Stated().fit(_record(), None), continuous=second, linear=TransferFunction((0.0, 1.0), (0.5,))
         )
-        history = History({"a_1": np.array([7.0]), "a_2": np.array([8.0]), "b_1": np.array([9.0])}, True, "")
+        history = History(np.array([[7.0, 8.0]]), np.array([[1.0, 9.0]]), {}, True)
         (iterate,) = iterates(found, history)
         assert iterate is not None
         assert iterate.continuous == ContinuousTransferFunction((1.0, 9.0), (7.0, 8.0))
-        assert iterate.linear == TransferFunction((0.0, 9.0), (7.0, 8.0))
+        assert iterate.linear == TransferFunction((1.0, 9.0), (7.0, 8.0))
 
     def test_an_iterate_that_is_no_estimate_leaves_a_gap(self):
         found = Stated().fit(_record(), None)
-        history = History({"a_1": np.array([0.0, np.nan, 2.0])}, True, "")
+        history = History(np.array([[0.0], [np.nan], [2.0]]), np.ones((3, 1)), {}, True)
         assert [iterate is None for iterate in iterates(found, history)] == [True, True, False]
 
     def test_a_parameter_that_the_history_does_not_hold_is_named(self, draw):

@@ -15,7 +15,6 @@ from hident.estimators.nonparametric.kernel import (
     Kernel,
     KernelName,
     KernelRegression,
-    kernel_regression,
 )
 from hident.records import Record
 
@@ -61,7 +60,7 @@ samples_anywhere = st.lists(st.tuples(reals, st.floats(-100.0, 100.0)), min_size
 def test_equals_the_direct_sum_with_ties_and_points_on_edges(kernel, samples, points, exponent):
     u, y = np.array(samples).T
     h = 2.0**exponent
-    found = kernel_regression(u, y, np.array(points), kernel=kernel, bandwidth=h)
+    found = KernelRegression(u, y, kernel=kernel, bandwidth=h)(np.array(points))
     np.testing.assert_allclose(found, direct_sum(u, y, points, kernel, h), rtol=0, atol=1e-10)
 
 
@@ -73,7 +72,7 @@ def test_equals_the_direct_sum_anywhere(kernel, samples, points, h):
     # A sample within rounding of an edge may fall on either side of it; a vanishing weight is then noise too.
     x = np.abs(np.subtract.outer(points, u)) / h
     points = np.array(points)[(np.abs(x - np.array([[[0.5]], [[1.0]], [[8.5]]])) > 1e-6).all(axis=(0, 2))]
-    found = kernel_regression(u, y, points, kernel=kernel, bandwidth=h)
+    found = KernelRegression(u, y, kernel=kernel, bandwidth=h)(points)
     np.testing.assert_allclose(found, direct_sum(u, y, points, kernel, h), rtol=0, atol=1e-10)
 
 
@@ -83,7 +82,7 @@ def test_keeps_its_digits_at_many_samples_and_small_bandwidths(kernel, h):
     rng = np.random.default_rng(4)
     u, points = rng.uniform(-6.0, 6.0, 100_000), rng.uniform(-6.0, 6.0, 60)
     y = 3.0 + rng.normal(size=u.size)
-    found = kernel_regression(u, y, points, kernel=kernel, bandwidth=h)
+    found = KernelRegression(u, y, kernel=kernel, bandwidth=h)(points)
     largest = np.abs(y).max()
     np.testing.assert_allclose(
         found,
@@ -105,7 +104,7 @@ def test_gaussian_keeps_its_digits_in_the_tails():
     rng = np.random.default_rng(5)
     u, points = rng.uniform(0.0, 1.0, 300), np.linspace(-0.84, 1.84, 500)
     y = rng.normal(size=u.size)
-    found = kernel_regression(u, y, points, kernel="gaussian", bandwidth=0.1, empty="fail")
+    found = KernelRegression(u, y, kernel="gaussian", bandwidth=0.1, empty="fail")(points)
     np.testing.assert_allclose(found, direct_sum(u, y, points, "gaussian", 0.1), rtol=0, atol=1e-12)
 
 
@@ -116,7 +115,7 @@ def test_shift_scale_and_order_of_the_samples(kernel):
     points = np.linspace(-6.0, 6.0, 301)
 
     def estimate(u, y, points):
-        return kernel_regression(u, y, points, kernel=kernel, bandwidth=0.25)
+        return KernelRegression(u, y, kernel=kernel, bandwidth=0.25)(points)
 
     plain = estimate(u, y, points)
     np.testing.assert_allclose(estimate(u, y + 10.0, points), plain + 10.0, rtol=0, atol=1e-12)
@@ -130,7 +129,7 @@ def test_shift_scale_and_order_of_the_samples(kernel):
 @every_kernel
 def test_constant_output_is_recovered(kernel):
     u = np.random.default_rng(7).normal(size=1000)
-    found = kernel_regression(u, np.full(1000, 0.1), np.linspace(-9, 9, 500), kernel=kernel, bandwidth=0.05)
+    found = KernelRegression(u, np.full(1000, 0.1), kernel=kernel, bandwidth=0.05)(np.linspace(-9, 9, 500))
     np.testing.assert_allclose(found, 0.1, rtol=1e-13)
 
 
@@ -138,7 +137,7 @@ def test_points_without_a_sample():
     u, y, points = np.array([0.0, 0.0, 4.0]), np.array([1.0, 3.0, 8.0]), np.array([-5.0, 1.5, 2.0, 3.0, 9.0])
 
     def estimate(empty):
-        return kernel_regression(u, y, points, kernel="window_unit", bandwidth=0.5, empty=empty)
+        return KernelRegression(u, y, kernel="window_unit", bandwidth=0.5, empty=empty)(points)
 
     np.testing.assert_array_equal(estimate("nearest"), [2.0, 2.0, 4.0, 8.0, 8.0])
     np.testing.assert_array_equal(estimate("zero"), np.zeros(5))
@@ -150,14 +149,14 @@ def test_points_without_a_sample():
 
 def test_gaussian_has_no_sample_beyond_its_reach():
     u, y = np.zeros(1), np.ones(1)
-    found = kernel_regression(u, y, np.array([8.4, 8.6]), kernel="gaussian", bandwidth=1.0, empty="zero")
+    found = KernelRegression(u, y, kernel="gaussian", bandwidth=1.0, empty="zero")(np.array([8.4, 8.6]))
     np.testing.assert_allclose(found, [1.0, 0.0], rtol=1e-13)
 
 
 def test_output_that_is_not_finite():
     with pytest.raises(EstimationError, match=r"^the output has 1 of 3 samples that are not finite$"):
-        kernel_regression(
-            np.arange(3.0), np.array([0, np.inf, 0]), np.zeros(1), kernel="gaussian", bandwidth=1
+        KernelRegression(np.arange(3.0), np.array([0, np.inf, 0]), kernel="gaussian", bandwidth=1)(
+            np.zeros(1)
         )
 
 
@@ -188,7 +187,7 @@ def test_memory_is_a_few_arrays(kernel):
     u, y = rng.uniform(size=n), rng.normal(size=n)
     tracemalloc.start()
     try:
-        kernel_regression(u, y, u, kernel=kernel, bandwidth=1e-2)
+        KernelRegression(u, y, kernel=kernel, bandwidth=1e-2)(u)
         assert tracemalloc.get_traced_memory()[1] < 15 * u.nbytes
     finally:
         tracemalloc.stop()
@@ -205,7 +204,7 @@ def test_error_falls_like_n_to_the_minus_two_fifths(kernel):
             u = rng.uniform(-1.0, 1.0, n)
             y = np.sin(3.0 * u) + 0.5 * rng.normal(size=n)
             h = Bandwidth(h0=0.6, alpha=0.2).width(n)
-            trials.append(kernel_regression(u, y, points, kernel=kernel, bandwidth=h) - np.sin(3.0 * points))
+            trials.append(KernelRegression(u, y, kernel=kernel, bandwidth=h)(points) - np.sin(3.0 * points))
         errors.append(np.sqrt(np.mean(np.square(trials))))
     slope = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
     assert slope == pytest.approx(-0.4, abs=0.03)
@@ -218,8 +217,8 @@ def test_spec_fits_with_the_bandwidth_of_the_record():
         {"kernel": "window_unit", "bandwidth": {"h0": 0.5, "alpha": "1/5"}, "empty": "mean"}
     )
     points = np.linspace(-3.0, 3.0, 50)
-    expected = kernel_regression(
-        record.u, record.y, points, kernel="window_unit", bandwidth=0.25, empty="mean"
+    expected = KernelRegression(record.u, record.y, kernel="window_unit", bandwidth=0.25, empty="mean")(
+        points
     )
     nonlinearity = spec.fit(record, rng).nonlinearity
     assert nonlinearity is not None

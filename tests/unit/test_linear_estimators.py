@@ -11,7 +11,7 @@ from hident.estimators.nonparametric.instrumental_variables import (
     InstrumentalVariables,
     instrumental_variables,
 )
-from hident.estimators.nonparametric.kernel import Kernel, kernel_regression
+from hident.estimators.nonparametric.kernel import Kernel, KernelRegression
 from hident.estimators.nonparametric.known_dynamics import KnownDynamics
 from hident.estimators.nonparametric.least_squares import LeastSquares, least_squares
 from hident.estimators.nonparametric.orthogonal import Orthogonal
@@ -261,9 +261,9 @@ def test_prefiltered_kernel_is_the_two_stage_method():
     assert estimate.values == step1.values and estimate.linear == step1.linear
     points = np.linspace(-2.0, 2.0, 41)
     filtered = y[1:] - step1.values["a_1"] * y[:-1]
-    expected = kernel_regression(
-        u[1:], filtered, points, kernel="window_unit", bandwidth=0.5 * 299**-0.2, empty="nearest"
-    )
+    expected = KernelRegression(
+        u[1:], filtered, kernel="window_unit", bandwidth=0.5 * 299**-0.2, empty="nearest"
+    )(points)
     np.testing.assert_allclose(characteristic(estimate)(points), expected, rtol=0, atol=1e-12)
 
 

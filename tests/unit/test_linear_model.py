@@ -7,9 +7,8 @@ import pytest
 from pydantic import ValidationError
 
 from hident.errors import EstimationError
-from hident.estimators.moving_horizon.iterative import padded
+from hident.estimators.moving_horizon.iterative import padded, parameter_names
 from hident.estimators.moving_horizon.linear_model import LinearModel
-from hident.linear_blocks import ContinuousTransferFunction
 from hident.records import Record
 from hident.systems.nonlinearity import ChenType1
 from tests.unit.multisteps import BLOCK, record
@@ -93,14 +92,16 @@ def test_messages_of_records_that_do_not_suit(samples, dt, message):
         spec(**THIRD).check(samples, dt)
 
 
-def test_parameters_are_padded_by_name():
-    block = ContinuousTransferFunction((2.0,), (3.0,))
-    assert padded(block, 2, "first_") == {
-        "first_a_1": 3.0,
-        "first_a_2": 0.0,
-        "first_b_0": 2.0,
-        "first_b_1": 0.0,
-    }
+@pytest.mark.parametrize(
+    ("b", "lowest", "expected"),
+    [
+        ((2.0,), 0, {"a_1": 3.0, "a_2": 0.0, "b_0": 2.0, "b_1": 0.0}),
+        ((), 1, {"a_1": 3.0, "a_2": 0.0, "b_1": 0.0}),
+    ],
+)
+def test_parameters_are_padded_to_their_names(b, lowest, expected):
+    found = padded((3.0,), b, 2, lowest)
+    assert dict(zip(parameter_names(2, lowest), found, strict=True)) == expected
 
 
 def test_a_delay_as_long_as_the_record_is_refused():

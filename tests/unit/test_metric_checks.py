@@ -168,7 +168,7 @@ class TestZeroTruths:
         # At the frequency of an estimate that is zero, no block turns the phase.
         truth = Truth(blocks={"input": BLOCK, "output": BLOCK})
         metric = ResponseError(of=("phase_i_1",), relative=True)
-        estimate = Estimate(values={"phase_i_1": 0.1, "omega_1": 0.0})
+        estimate = Estimate(frequencies=np.zeros(1), values={"phase_i_1": 0.1})
         record = Record(np.zeros(1), np.zeros(1), 1.0, truth)
         assert np.isnan(metric.evaluate(estimate, record)[0])
 

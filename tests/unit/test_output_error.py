@@ -134,9 +134,12 @@ class TestDerivatives:
         residuals = y - found.block.respond(w, DT)
         by_block = np.delete(sensitivities(found.block, w, DT), 3, axis=1)
         by_c = np.column_stack([found.block.respond(phi, DT) for phi in values.T])
-        step = np.linalg.lstsq(np.hstack([by_block, by_c]), residuals, rcond=None)[0]
+        slopes = np.hstack([by_block, by_c])
+        step = np.linalg.lstsq(slopes, residuals, rcond=None)[0]
         assert np.max(np.abs(step) / found.standard_errors) < 1e-3
-        assert found.variance == pytest.approx(residuals @ residuals / (1000 - 8))
+        variance = residuals @ residuals / (1000 - 8)
+        covariance = variance * np.linalg.inv(slopes.T @ slopes)
+        np.testing.assert_allclose(found.standard_errors, np.sqrt(np.diag(covariance)), rtol=1e-6)
 
 
 class TestWhereTheIterationEnds:

@@ -30,8 +30,8 @@ class Mean(EstimatorSpec):
     scale: Real = 1.0
     """Factor."""
 
-    def provides(self):
-        return frozenset({{"value mean"}})
+    def names(self):
+        return ["mean"]
 
     def fit(self, record, rng):
         return Estimate(values={{"mean": self.scale * float(np.mean(record.y))}})

@@ -340,8 +340,8 @@ def newcomer():
         class Newcomer(EstimatorSpec):
             """An estimator of the differences of the output."""
 
-            def provides(self):
-                return frozenset({"value b_1"})
+            def names(self):
+                return ["b_1"]
 
             def fit(self, record, rng=None):
                 return Estimate(values={"b_1": float(np.mean(np.diff(record.y)))})

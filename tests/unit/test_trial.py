@@ -39,8 +39,8 @@ class Witness(EstimatorSpec):
     gain: float = 1.0
     raises: str = ""
 
-    def provides(self) -> frozenset[str]:
-        return frozenset({"value a_1"})
+    def names(self) -> list[str]:
+        return ["a_1"]
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         match self.raises:
@@ -243,8 +243,8 @@ class Together(EstimatorSpec):
     def draws(self) -> bool:
         return False
 
-    def provides(self) -> frozenset[str]:
-        return frozenset({"value a_1"})
+    def names(self) -> list[str]:
+        return ["a_1"]
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         [found] = self.fit_many([record])

@@ -38,25 +38,6 @@ def identity(signals: Array) -> Array:
     return signals
 
 
-def root_of(W: Array) -> Root:
-    """A root of a symmetric positive definite matrix W (N, N).
-
-    Raises
-    ------
-    ValueError
-        If W is not symmetric positive definite.
-    """
-    if W.ndim != 2 or W.shape[0] != W.shape[1] or not np.isfinite(W).all():
-        raise ValueError(f"W must be a square matrix of finite numbers, not of shape {W.shape}")
-    if not np.allclose(W, W.T, rtol=1e-9, atol=1e-12 * float(np.max(np.abs(W), initial=0.0))):
-        raise ValueError("W must be symmetric positive definite: it is not symmetric")
-    try:
-        lower = np.asarray(np.linalg.cholesky(W), dtype=float)
-    except np.linalg.LinAlgError:
-        raise ValueError("W must be symmetric positive definite: it is not positive definite") from None
-    return lambda signals: times(signals, lower)
-
-
 def regressors(basis: Array, n: int, delay: int = 1) -> Array:
     """The matrix Phi of (7).
 

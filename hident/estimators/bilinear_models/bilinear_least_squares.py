@@ -6,7 +6,7 @@ Symbols are in :mod:`hident.estimators.bilinear_models.bilinear`.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import repeat
 from typing import Annotated, Literal
 
@@ -165,8 +165,8 @@ class BilinearLeastSquares(WeightedBilinearSpec):
     normalise: Flag = True
     """Keep b at length one; false leaves the common factor of b and 1/a where the iterations drift."""
 
-    def provides(self) -> frozenset[str]:
-        return super().provides() | {"value iterations", "value converged"}
+    def names(self) -> list[str]:
+        return [*super().names(), "iterations", "converged"]
 
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset({"nonlinearity", "linear"} if self.start == "truth" else ())
@@ -188,10 +188,13 @@ class BilinearLeastSquares(WeightedBilinearSpec):
             return error
         errors = self._standard_errors(weighted, y, *normalised(found.b, found.a))
         [estimate] = self.estimates(
-            weighted, y[None], (found.b[None], found.a[None]), (errors[0][None], errors[1][None])
+            weighted,
+            y[None],
+            (found.b[None], found.a[None]),
+            (errors[0][None], errors[1][None]),
+            (float(found.iterations), float(found.converged)),
         )
-        ended = {"iterations": float(found.iterations), "converged": float(found.converged)}
-        return replace(estimate, values={**estimate.values, **ended})
+        return estimate
 
     def _standard_errors(self, weighted: Weighted, y: Array, b: Array, a: Array) -> tuple[Array, Array]:
         """Those of the normalised parameters; they assume white noise unless its covariance is the weight."""

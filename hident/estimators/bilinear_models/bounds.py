@@ -10,6 +10,7 @@ from pydantic import Field
 
 from hident.arrays import Array
 from hident.config.spec import Of, Real, component
+from hident.estimators.base import with_errors
 from hident.estimators.bilinear_models.ar_noise import ArModel
 from hident.estimators.bilinear_models.bilinear import Regression, identity
 from hident.estimators.bilinear_models.bilinear_least_squares import covariance_root
@@ -48,8 +49,8 @@ class CramerRao(BilinearSpec):
     noise: KnownAr | None = None
     """Autoregressive noise {kind: ar, a: [...]}; white if left out."""
 
-    def provides(self) -> frozenset[str]:
-        return frozenset(f"value {name}" for name in self.names("se_"))
+    def names(self) -> list[str]:
+        return [f"se_{name}" for name in self.parameters()]
 
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset({"nonlinearity", "linear"})
@@ -59,7 +60,7 @@ class CramerRao(BilinearSpec):
         root = partial(ArModel(np.array(self.noise.a)).whiten, parts=parts) if self.noise else identity
         regression = Regression.of(phi, self.lags, root, self.delay)
         bounds = cramer_rao(regression, *self.true_parameters(record), self.variance)
-        return Estimate(values=self.named(*bounds, prefix="se_"))
+        return Estimate(values=self.named(*bounds))
 
 
 @component("estimator", "known_nonlinearity")
@@ -76,6 +77,8 @@ class KnownNonlinearity(WeightedSpec):
     [0.6, -0.8]
     """
 
+    holds = ("nonlinearity", "linear")
+
     nonlinearity: Annotated[NonlinearitySpec, Of("nonlinearity")]
     """The known nonlinearity, with its scale: b is not normalised."""
 
@@ -85,10 +88,8 @@ class KnownNonlinearity(WeightedSpec):
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (known_function("the nonlinearity is the given one", self.nonlinearity),)
 
-    def provides(self) -> frozenset[str]:
-        names = self.b_names()
-        values = {f"value {prefix}{name}" for name in names for prefix in ("", "se_")}
-        return self.noise_names() | values | {"linear", "nonlinearity"}
+    def names(self) -> list[str]:
+        return [*with_errors(self.b_names()), *self.noise_names()]
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         phi, y, parts = self.data(record)
@@ -97,10 +98,8 @@ class KnownNonlinearity(WeightedSpec):
         white = weighted.white
         errors = np.sqrt(white.variance(y, white.theta(y))) * np.linalg.norm(white.g, axis=1)
         b = theta[:, 0]
-        named = dict(zip(self.b_names(), b.tolist(), strict=True))
-        named |= {f"se_{name}": error for name, error in zip(self.b_names(), errors.tolist(), strict=True)}
         return Estimate(
             nonlinearity=self.nonlinearity,
             linear=self.linear(b),
-            values=named | weighted.order_value(),
+            values=self.named(b, errors, weighted.order),
         )

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from hident.arrays import Array
 from hident.config.spec import Count, Of
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
+from hident.estimators.base import AtOneInterval, require_finite, require_varying
 from hident.estimators.bilinear_models.bilinear import Regression, normalised, regressors
 from hident.estimators.normalisation import Normalisation, unit_length
 from hident.linear_blocks import TransferFunction
@@ -37,7 +37,7 @@ class Expansion:
         return np.asarray(sum(a * phi(x) for a, phi in zip(self.a, self.functions, strict=True)))
 
 
-class LaggedSpec(EstimatorSpec):
+class LaggedSpec(AtOneInterval):
     """Base of the estimators that regress y(t) on known functions of x(t-delay), x(t-delay-1), ...
 
     The first delay + lags - 1 samples of each experiment serve as lagged inputs only.
@@ -47,12 +47,6 @@ class LaggedSpec(EstimatorSpec):
     """Number n of coefficients of the linear block."""
     delay: Annotated[Count, Field(ge=0)] = 1
     """The first lag: y(t) depends on x(t-delay), ..., x(t-delay-lags+1)."""
-
-    def takes_experiments(self) -> Experiments:
-        return "at_one_interval"
-
-    def draws(self) -> bool:
-        return False
 
     def functions(self) -> tuple[NonlinearitySpec, ...]:
         """phi_1, ..., phi_m."""
@@ -195,15 +189,9 @@ class BilinearSpec(LaggedSpec):
             raise EstimationError("the true nonlinearity is not a combination of the basis functions")
         return normalised(b, a)
 
-    def named(self, b: Array, a: Array, prefix: str = "") -> dict[str, float]:
-        """b_i and a_j, or what belongs to them, by name."""
-        names = [*self.b_names(), *(f"a_{j}" for j in range(1, len(a) + 1))]
-        values = np.concatenate([b, a]).tolist()
-        return {prefix + name: value for name, value in zip(names, values, strict=True)}
-
-    def names(self, prefix: str = "") -> list[str]:
-        """The names that :meth:`named` gives."""
-        return list(self.named(np.zeros(self.lags), np.zeros(len(self.functions())), prefix))
+    def parameters(self) -> list[str]:
+        """The names of b_i and a_j."""
+        return [*self.b_names(), *(f"a_{j}" for j in range(1, len(self.functions()) + 1))]
 
     def nonlinearity(self, a: Array) -> Expansion:
         """The nonlinearity with the coefficients ``a`` (m,)."""

@@ -25,6 +25,7 @@ from pydantic import Field
 from hident.arrays import Array
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
+from hident.estimators.base import with_errors
 from hident.estimators.bilinear_models.bilinear import Regression
 from hident.estimators.bilinear_models.bilinear_least_squares import (
     bilinear_least_squares,
@@ -261,6 +262,8 @@ class SeparableLeastSquares(BilinearSpec):
     [0.5, 0.6, -0.8]
     """
 
+    holds = ("nonlinearity", "linear")
+
     feedback: Annotated[Count, Field(ge=1)]
     """Order p of the feedback a_1, ..., a_p."""
 
@@ -270,25 +273,23 @@ class SeparableLeastSquares(BilinearSpec):
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (unit_length(self.delay, self.lags, "b c"),)
 
-    def provides(self) -> frozenset[str]:
-        values = {f"value {prefix}{name}" for name in self._parameters() for prefix in ("", "se_")}
-        return frozenset(values | {"value loss", "value iterations", "linear", "nonlinearity"})
+    def parameters(self) -> list[str]:
+        feedback = [f"a_{i}" for i in range(1, self.feedback + 1)]
+        return [*feedback, *self.b_names(), *(f"c_{j}" for j in range(1, len(self.functions()) + 1))]
+
+    def names(self) -> list[str]:
+        return [*with_errors(self.parameters()), "loss", "iterations"]
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         phi, y, parts = self.data(record)
         p, n = self.feedback, self.lags
         Regression.of(phi, n, delay=self.delay)
         found, iterations = separable_least_squares(phi, y, n, p, parts=parts)
-        names = self._parameters()
-        parameters = np.concatenate([found.f, found.b, found.a])
-        values = dict(zip(names, parameters.tolist(), strict=True))
-        errors = self._standard_errors(found).tolist()
+        parameters = found.f, found.b, found.a
         return Estimate(
             nonlinearity=self.nonlinearity(found.a),
             linear=TransferFunction(b=self.linear(found.b).b, a=tuple(found.f.tolist())),
-            values=values
-            | {f"se_{name}": error for name, error in zip(names, errors, strict=True)}
-            | {"loss": found.loss, "iterations": float(iterations)},
+            values=self.named(*parameters, self._standard_errors(found), found.loss, iterations),
         )
 
     def _standard_errors(self, found: Inner) -> Array:
@@ -298,7 +299,3 @@ class SeparableLeastSquares(BilinearSpec):
         root = np.vstack([root[:p], found.tangent @ root[p : p + k]])
         rows, columns = found.jacobian.shape
         return np.asarray(np.sqrt(found.loss / (rows - columns)) * np.linalg.norm(root, axis=1))
-
-    def _parameters(self) -> list[str]:
-        feedback = [f"a_{i}" for i in range(1, self.feedback + 1)]
-        return [*feedback, *self.b_names(), *(f"c_{j}" for j in range(1, len(self.functions()) + 1))]

@@ -17,6 +17,7 @@ from hident.arrays import Array
 from hident.config.spec import Real, Spec, component
 from hident.config.suggest import did_you_mean, one_of
 from hident.errors import EstimationError
+from hident.estimators.base import with_errors
 from hident.estimators.bilinear_models.ar_noise import ArModel, EstimatedAr
 from hident.estimators.bilinear_models.bilinear import (
     Regression,
@@ -38,11 +39,6 @@ class TwoStageFit:
     b: Array
     a: Array
     theta: Array
-
-    @property
-    def singular_values(self) -> Array:
-        """Those of Theta, the largest first, shape (..., min(n, m))."""
-        return np.asarray(np.linalg.svd(self.theta, compute_uv=False))
 
 
 def leading(theta: Array) -> Array:
@@ -145,16 +141,12 @@ class Weighted:
     """A weighting applied to data.
 
     ``regression`` is weighted for the first stage, ``white`` by the inverse of the noise covariance that
-    the standard errors assume; ``order`` is that of an estimated noise model.
+    the standard errors assume; ``order`` is that of a noise model, one number if it was estimated.
     """
 
     regression: Regression
     white: Regression
-    order: int | None = None
-
-    def order_value(self) -> dict[str, float]:
-        """``ar_order``, if the noise was modelled."""
-        return {} if self.order is None else {"ar_order": float(self.order)}
+    order: tuple[int, ...] = ()
 
 
 class WeightedSpec(LaggedSpec):
@@ -195,19 +187,20 @@ class WeightedSpec(LaggedSpec):
             white = Regression.of(phi, self.lags, partial(known.whiten, parts=parts))
             return Weighted(white, white)
         white, model = estimate_noise(plain, y, self.weight, parts)
-        return Weighted(white, white, len(model.a))
+        return Weighted(white, white, (len(model.a),))
 
-    def noise_names(self) -> frozenset[str]:
-        """The value that a weighting adds to the estimate."""
-        return frozenset({"value ar_order"} if isinstance(self.weight, EstimatedAr) else ())
+    def noise_names(self) -> list[str]:
+        """The name of the value that an estimated noise model adds."""
+        return ["ar_order"] if isinstance(self.weight, EstimatedAr) else []
 
 
 class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
     """Base of the weighted estimators of a Hammerstein system with known basis functions."""
 
-    def provides(self) -> frozenset[str]:
-        values = {f"value {name}" for name in (*self.names(), *self.names("se_"), "loss")}
-        return self.noise_names() | values | {"nonlinearity", "linear"}
+    holds = ("nonlinearity", "linear")
+
+    def names(self) -> list[str]:
+        return [*with_errors(self.parameters()), "loss", *self.noise_names()]
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         [found] = self.fit_many([record])
@@ -237,17 +230,21 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
         y: Array,
         parameters: tuple[Array, Array],
         errors: tuple[Array, Array],
+        others: tuple[float, ...] = (),
     ) -> list[Estimate]:
-        """Those of b (T, n) and a (T, m), with standard ``errors``, from the outputs ``y`` (T, rows)."""
+        """Those of b (T, n) and a (T, m), with standard ``errors``, from the outputs ``y`` (T, rows).
+
+        ``others`` are the values that a subclass names after the common ones.
+        """
         b, a = parameters
         least = loss(weighted.regression, y, b, a, weighted.regression.root)
-        names = (*self.names(), *self.names("se_"), "loss")
+        names, others = self.names(), (*map(float, weighted.order), *others)
         rows = np.concatenate([b, a, *errors, least[:, None]], axis=1).tolist()
         return [
             Estimate(
                 nonlinearity=self.nonlinearity(a_of_one),
                 linear=self.linear(b_of_one),
-                values=dict(zip(names, row, strict=True)) | weighted.order_value(),
+                values=dict(zip(names, (*row, *others), strict=True)),
             )
             for b_of_one, a_of_one, row in zip(b, a, rows, strict=True)
         ]

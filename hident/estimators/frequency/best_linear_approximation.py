@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from hident.arrays import Array
+from hident.arrays import Array, Complex, Index
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
@@ -18,36 +17,31 @@ from hident.estimators.frequency.harmonics import samples_per_period
 from hident.estimators.normalisation import Normalisation
 from hident.records import Estimate, Periodic, Record
 
-Complex = NDArray[np.complex128]
-
 
 @dataclass(frozen=True, eq=False)
 class BestLinearApproximation:
-    """The response ``gain`` (F,) at ``harmonics`` (F,) of the period, and variances of its complex mean.
+    """The response ``gain`` (F,) at the harmonics of the period, and variances of its complex mean.
 
     ``noise_variance`` (F,) is due to noise alone, ``total_variance`` (F,) to noise and stochastic nonlinear
     distortions; both belong to the mean over all R realisations. ``distortion_variance`` (F,) is that of the
     distortions in a single realisation, zero where it is hidden by noise.
     """
 
-    harmonics: NDArray[np.intp]
     gain: Complex
     noise_variance: Array
     total_variance: Array
     distortion_variance: Array
 
 
-def best_linear_approximation(
-    u: Array, y: Array, harmonics: NDArray[np.intp] | None = None
-) -> BestLinearApproximation:
+def best_linear_approximation(u: Array, y: Array, harmonics: Index) -> BestLinearApproximation:
     """The best linear approximation from random-phase multisines.
 
     Parameters
     ----------
     u, y : array, shape (R, P, n)
         Input and output in steady state: R realisations of the phases, P periods, n samples in each.
-    harmonics : array of int, shape (F,), optional
-        The excited harmonics; by default those with more than a millionth of the strongest input.
+    harmonics : array of int, shape (F,)
+        Excited harmonics: those with more than a millionth of the strongest input.
 
     Raises
     ------
@@ -67,9 +61,7 @@ def best_linear_approximation(
     inputs = np.fft.rfft(u.mean(axis=1)) / n
     size = np.min(np.abs(inputs), axis=0)
     excited = size > 1e-6 * np.max(size[1:])
-    if harmonics is None:
-        harmonics = np.flatnonzero(excited[1:]) + 1
-    elif np.max(harmonics) >= len(size) or not np.all(excited[harmonics]):
+    if np.max(harmonics) >= len(size) or not np.all(excited[harmonics]):
         silent = [k for k in harmonics if k >= len(size) or not excited[k]]
         raise EstimationError(f"the harmonic {silent[0]} is not excited in every realisation")
     gains = np.fft.rfft(y)[..., harmonics] / (n * inputs[:, None, harmonics])
@@ -78,13 +70,8 @@ def best_linear_approximation(
     gain = each.mean(axis=0)
     total = np.sum(np.abs(each - gain) ** 2, axis=0) / (realisations * (realisations - 1))
     noise_variance = noise.mean(axis=0) / realisations
-    return BestLinearApproximation(
-        harmonics,
-        gain,
-        noise_variance,
-        total,
-        np.maximum(realisations * (total - noise_variance), 0.0),
-    )
+    distortion = np.maximum(realisations * (total - noise_variance), 0.0)
+    return BestLinearApproximation(gain, noise_variance, total, distortion)
 
 
 @component("estimator", "best_linear_approximation", source="Pintelon and Schoukens 2012, section 4.3.1")
@@ -117,9 +104,9 @@ class BestLinear(EstimatorSpec):
     def draws(self) -> bool:
         return False
 
-    def provides(self) -> frozenset[str]:
+    def names(self) -> list[str]:
         quantities = ("gain", "phase", "noise", "total", "distortion")
-        return frozenset(f"value {quantity}_{k}" for quantity in quantities for k in self.harmonics)
+        return [f"{quantity}_{k}" for quantity in quantities for k in self.harmonics]
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         # It knows both blocks' gains together only.
@@ -133,19 +120,9 @@ class BestLinear(EstimatorSpec):
         require_varying(record.y, "output")
         u, y = self._periods(record)
         found = best_linear_approximation(u, y, np.array(self.harmonics))
-        columns = {
-            "gain": np.abs(found.gain),
-            "phase": np.angle(found.gain),
-            "noise": np.sqrt(found.noise_variance),
-            "total": np.sqrt(found.total_variance),
-            "distortion": np.sqrt(found.distortion_variance),
-        }
-        values = {
-            f"{quantity}_{k}": float(value)
-            for quantity, column in columns.items()
-            for k, value in zip(self.harmonics, column, strict=True)
-        }
-        return Estimate(values=values)
+        variances = found.noise_variance, found.total_variance, found.distortion_variance
+        deviations = np.sqrt(variances).ravel()
+        return Estimate(values=self.named(np.abs(found.gain), np.angle(found.gain), deviations))
 
     def _periods(self, record: Record) -> tuple[Array, Array]:
         """Input and output, each of shape (realisations, periods, samples per period)."""

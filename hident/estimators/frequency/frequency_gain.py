@@ -21,9 +21,8 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hident.arrays import Array
+from hident.arrays import Array, Complex, Flags
 from hident.errors import EstimationError
 from hident.estimators.frequency import chi_squared
 from hident.estimators.frequency.gauge import FrequencyGrid, null_space, unwrap_along
@@ -31,9 +30,6 @@ from hident.estimators.frequency.harmonic_map import harmonic_matrix, harmonic_m
 from hident.estimators.frequency.sine_responses import SineResponses
 from hident.estimators.frequency.staircase_levels import PolynomialFit
 from hident.numerics.choices import ROUNDING, TIE, first_least
-
-Complex = NDArray[np.complex128]
-Mask = NDArray[np.bool_]
 
 # Gains among which the start is searched.
 _GAINS = np.geomspace(1e-4, 30.0, 600)
@@ -69,7 +65,7 @@ class FrequencyGains:
     sums: Array
     sum_errors: Array
     polynomial: PolynomialFit
-    weak: Mask
+    weak: Flags
     chi2: float
     freedom: int
     misfit: float
@@ -127,7 +123,7 @@ class FrequencyGains:
             "amplitudes V, or a lower order"
         )
 
-    def _touched(self) -> Mask:
+    def _touched(self) -> Flags:
         """The frequencies (n,) at which a gain is lost."""
         inputs, outputs = map(np.isnan, self._split(self.log_gains))
         touched = inputs.copy()
@@ -186,7 +182,7 @@ def frequency_gains(data: SineResponses, polynomial: PolynomialFit, threshold: f
     )
 
 
-def _visible(data: SineResponses, polynomial: PolynomialFit, threshold: float) -> Mask:
+def _visible(data: SineResponses, polynomial: PolynomialFit, threshold: float) -> Flags:
     """The harmonics 0, ..., p that stand out of the noise, shape (E, p + 1)."""
     powers = data.offset[:, None] ** np.arange(len(polynomial.coefficients))
     moved = np.abs(data.mean - powers @ polynomial.coefficients)
@@ -211,7 +207,7 @@ class _Solution:
         return chi_squared.fits(self.chi2, self.freedom, level)
 
 
-def _solutions(problem: _Problem, minima: Sequence[Array], lost: Mask) -> list[_Solution]:
+def _solutions(problem: _Problem, minima: Sequence[Array], lost: Flags) -> list[_Solution]:
     """The different solutions from the ``minima`` at the frequencies, those with the least gains first.
 
     Where they have too many combinations, one frequency after the other takes its best minimum, until chi^2
@@ -307,7 +303,7 @@ class _Problem:
 
     data: SineResponses
     polynomial: PolynomialFit
-    visible: Mask
+    visible: Flags
 
     @cached_property
     def degree(self) -> int:
@@ -373,7 +369,7 @@ class _Problem:
             rows.append(np.hstack((np.zeros((self.degree + 1, n + q)), self.root)))
         return np.vstack(rows)
 
-    def lost(self, x: Array) -> Mask:
+    def lost(self, x: Array) -> Flags:
         """The gains (n + q,) that the visible harmonics leave open."""
         n, q = self.sizes
         jacobian = self.jacobian(x)[: self.visible.size, : n + q]
@@ -382,7 +378,7 @@ class _Problem:
         scaled = np.divide(jacobian, size, out=np.zeros_like(jacobian), where=size > 0.0)
         return np.asarray(np.any(np.abs(null_space(scaled)) > _NULL, axis=1))
 
-    def determined(self, lost: Mask) -> Mask:
+    def determined(self, lost: Flags) -> Flags:
         """The rows of means and harmonics without lost gains, and those of the prior knowledge."""
         n, _ = self.sizes
         mean = ~lost[:n][self.data.m]
@@ -407,7 +403,7 @@ class _Problem:
         x[n : n + q] = np.log(self.best_outputs(x))
         return x
 
-    def misfit(self, x: Array, lost: Mask) -> float:
+    def misfit(self, x: Array, lost: Flags) -> float:
         """The largest residual of the data, or of c as known before, relative to the output's fluctuation."""
         data = self.data
         _, g_o, c = self.parts(x)
@@ -424,7 +420,7 @@ class _Problem:
         largest = float(np.max(np.maximum(away, moved), initial=0.0, where=used))
         return largest / fluctuation if fluctuation else 0.0
 
-    def solve(self, start: Array, lost: Mask) -> _Solution:
+    def solve(self, start: Array, lost: Flags) -> _Solution:
         """The solution from ``start``; lost gains, and a c known exactly, stay as they are with no variance.
 
         Raises

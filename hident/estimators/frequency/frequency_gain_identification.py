@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
@@ -14,18 +14,10 @@ from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, component
 from hident.config.suggest import did_you_mean, one_of
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite
+from hident.estimators.base import EstimatorSpec, Experiments, require_finite, with_errors
 from hident.estimators.frequency.frequency_gain import FrequencyGains, frequency_gains
-from hident.estimators.frequency.gauge import AMBIGUITY, FrequencyGrid, Phases
-from hident.estimators.frequency.gauges import (
-    FIT,
-    GAUGES,
-    DelayFree,
-    KnownPhase,
-    MinimumPhase,
-    Rational,
-    named,
-)
+from hident.estimators.frequency.gauge import AMBIGUITY, FrequencyGrid
+from hident.estimators.frequency.gauges import GAUGES, DelayFree, KnownPhase, MinimumPhase, Rational
 from hident.estimators.frequency.harmonics import (
     Harmonics,
     harmonics,
@@ -33,10 +25,7 @@ from hident.estimators.frequency.harmonics import (
     order_by_signal_to_noise,
     require_samples,
 )
-from hident.estimators.frequency.nonlinearity_identification import (
-    NonlinearityIdentification,
-    coefficient_values,
-)
+from hident.estimators.frequency.nonlinearity_identification import NonlinearityIdentification
 from hident.estimators.frequency.sine_responses import SineResponses, match_frequencies
 from hident.estimators.frequency.staircase_levels import PolynomialFit
 from hident.estimators.normalisation import Normalisation, unit_static_gain
@@ -86,6 +75,8 @@ class FrequencyGainIdentification(EstimatorSpec):
     >>> round(hi.fit(estimator, record).values["gain_i_2"], 2)
     0.89
     """
+
+    holds = ("nonlinearity", "frequencies")
 
     frequencies: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     """Angular frequencies w_1 < w_2 < ... of the sines, radians per unit of time (or give the band)."""
@@ -177,30 +168,22 @@ class FrequencyGainIdentification(EstimatorSpec):
     def draws(self) -> bool:
         return False
 
-    def provides(self) -> frozenset[str]:
-        names = [*self._inputs("gain"), *self._outputs("gain"), *self._outputs("phase_sum", "")]
+    def names(self) -> list[str]:
+        numbers = range(1, len(self.omega()) + 1)
+        harmonics = [f"{m}_{k}" for m in numbers for k in range(1, self.order + 1)]
+        measured = [f"gain_i_{m}" for m in numbers]
+        measured += [f"{quantity}_{at}" for quantity in ("gain_o", "phase_sum") for at in harmonics]
+        tests = ["chi2", "chi2_freedom", "misfit", "solutions"]
         if self.gauge is not None:
-            names += [*self._inputs("phase"), *self._outputs("phase")]
+            measured += [*(f"phase_i_{m}" for m in numbers), *(f"phase_o_{at}" for at in harmonics)]
         if isinstance(self.gauge, Rational):
-            names += self.gauge.names()
+            measured += self.gauge.names()
+            tests += ["gauge_chi2", "gauge_chi2_freedom", "gauge_misfit"]
         if self.nonlinearity is not None:
-            names += [f"c_{j}" for j in range(self.degree + 1)]
-        orders = [f"order_{rule}_{m}" for rule in ("power", "ac", "snr") for m, _ in self._numbered()]
+            measured += [f"c_{j}" for j in range(self.degree + 1)]
+        orders = [f"order_{rule}_{m}" for rule in ("power", "ac", "snr") for m in numbers]
         ranks = ("phase_unknowns", "phase_equations", "phase_rank")
-        omega = [f"omega_{m}" for m, _ in self._numbered()]
-        fit = ["chi2", "chi2_freedom", "misfit", "solutions"]
-        fit += FIT if isinstance(self.gauge, Rational) else ()
-        values = (*names, *(f"se_{name}" for name in names), *omega, *orders, *ranks, *fit)
-        return frozenset({"nonlinearity", *(f"value {name}" for name in values)})
-
-    def _numbered(self) -> Iterator[tuple[int, float]]:
-        return enumerate(self.omega().tolist(), start=1)
-
-    def _inputs(self, quantity: str) -> list[str]:
-        return [f"{quantity}_i_{m}" for m, _ in self._numbered()]
-
-    def _outputs(self, quantity: str, side: str = "_o") -> list[str]:
-        return [f"{quantity}{side}_{m}_{k}" for m, _ in self._numbered() for k in range(1, self.order + 1)]
+        return [*with_errors(measured), *orders, *ranks, *tests]
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (unit_static_gain("c input_b output_b"),)
@@ -229,17 +212,27 @@ class FrequencyGainIdentification(EstimatorSpec):
             raise EstimationError(gains.why_lost())
         if misfit := gains.why_misfit(self.fit_level):
             raise EstimationError(misfit)
-        values = self._gain_values(gains) | self._order_values(found, data.m) | _rank_values(gains)
-        values |= {"chi2": gains.chi2, "chi2_freedom": float(gains.freedom)}
-        values |= {"misfit": gains.misfit, "solutions": float(gains.solutions)}
-        values |= {f"omega_{m}": omega for m, omega in self._numbered()}
-        if self.nonlinearity is not None:
-            values |= coefficient_values(gains.polynomial)
+        return Estimate(
+            nonlinearity=Polynomial(coefficients=tuple(gains.polynomial.coefficients.tolist())),
+            frequencies=self.omega(),
+            values=self._values(gains, [*self._orders(found, data.m), *_ranks(gains)]),
+        )
+
+    def _values(self, gains: FrequencyGains, others: list[Any]) -> dict[str, float]:
+        """What was measured, with its standard errors, then the ``others``, then what tests the fits."""
+        (g_i, g_o), (e_i, e_o), o = gains.gains, gains.errors, gains.grid.o
+        measured = [(g_i, e_i), (g_o[o], e_o[o]), (gains.sums, gains.sum_errors)]
+        others += [gains.chi2, gains.freedom, gains.misfit, gains.solutions]
         if self.gauge is not None:
-            phases, coefficients = self.gauge.phases(gains, self.fit_level)
-            values |= coefficients | self._phase_values(gains.grid, phases)
-        nonlinearity = Polynomial(coefficients=tuple(gains.polynomial.coefficients.tolist()))
-        return Estimate(nonlinearity=nonlinearity, values=values)
+            phases, fit = self.gauge.phases(gains, self.fit_level)
+            measured += [(phases.input, phases.input_errors), (phases.output[o], phases.output_errors[o])]
+            if fit is not None:
+                measured.append((fit.coefficients, fit.errors))
+                others += [fit.chi2, fit.freedom, fit.misfit]
+        if self.nonlinearity is not None:
+            measured.append((gains.polynomial.coefficients, gains.polynomial.errors))
+        values, errors = zip(*measured, strict=True)
+        return self.named(*values, *errors, *others)
 
     def _sines(self, record: Record) -> list[Part]:
         """The experiments with a sine that are used.
@@ -297,49 +290,30 @@ class FrequencyGainIdentification(EstimatorSpec):
                 f"is off by {away:.3g}; leave out more periods with 'transient'"
             )
 
-    def _gain_values(self, gains: FrequencyGains) -> dict[str, float]:
-        (g_i, g_o), (e_i, e_o), o = gains.gains, gains.errors, gains.grid.o
-        return (
-            named(self._inputs("gain"), g_i, e_i)
-            | named(self._outputs("gain"), g_o[o], e_o[o])
-            | named(self._outputs("phase_sum", ""), gains.sums, gains.sum_errors)
-        )
-
-    def _phase_values(self, grid: FrequencyGrid, phases: Phases) -> dict[str, float]:
-        inputs = named(self._inputs("phase"), phases.input, phases.input_errors)
-        outputs = phases.output[grid.o], phases.output_errors[grid.o]
-        return inputs | named(self._outputs("phase"), *outputs)
-
-    def _order_values(self, found: list[Harmonics], m: Any) -> dict[str, float]:
-        """The largest order of the experiments at each frequency, by each rule."""
+    def _orders(self, found: list[Harmonics], m: Any) -> list[int]:
+        """The largest order of the experiments at each frequency, by one rule after the other."""
 
         def by_power(one: Harmonics, *, mean: bool) -> int:
             order = order_by_power(one, self.epsilon, mean=mean)
             return self.examined + 1 if order is None else order
 
-        rules: dict[str, Callable[[Harmonics], int]] = {
-            "power": lambda one: by_power(one, mean=True),
-            "ac": lambda one: by_power(one, mean=False),
-            "snr": lambda one: order_by_signal_to_noise(one, self.threshold),
-        }
-        return {
-            f"order_{name}_{number}": float(
-                max(rule(one) for one, at in zip(found, m, strict=True) if at == number - 1)
-            )
-            for name, rule in rules.items()
-            for number, _ in self._numbered()
-        }
+        rules: list[Callable[[Harmonics], int]] = [
+            lambda one: by_power(one, mean=True),
+            lambda one: by_power(one, mean=False),
+            lambda one: order_by_signal_to_noise(one, self.threshold),
+        ]
+        return [
+            max(rule(one) for one, at in zip(found, m, strict=True) if at == number)
+            for rule in rules
+            for number in range(len(self.omega()))
+        ]
 
 
-def _rank_values(gains: FrequencyGains) -> dict[str, float]:
+def _ranks(gains: FrequencyGains) -> tuple[int, int, int]:
     """How many phases there are, how many sums of them were seen, and how many of these are independent."""
     seen = gains.grid.where(np.isfinite(gains.sums))
     equations, unknowns = seen.equations.shape
-    return {
-        "phase_unknowns": float(unknowns),
-        "phase_equations": float(equations),
-        "phase_rank": float(unknowns - seen.freedom.shape[1]),
-    }
+    return unknowns, equations, unknowns - seen.freedom.shape[1]
 
 
 def _is_sine(part: Part) -> bool:

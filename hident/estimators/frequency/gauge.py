@@ -13,13 +13,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hident.arrays import Array
+from hident.arrays import Array, Flags, Index
 from hident.errors import EstimationError
-
-Complex = NDArray[np.complex128]
-Index = NDArray[np.intp]
 
 AMBIGUITY = """\
 the phases of the two blocks cannot be told apart, only the sums k arg Gi(jw) + arg Go(jkw):
@@ -56,7 +52,7 @@ class FrequencyGrid:
         o[rank] = np.cumsum(new) - 1
         return cls(frequencies, at[rank][new], m, k, o)
 
-    def where(self, seen: NDArray[np.bool_]) -> FrequencyGrid:
+    def where(self, seen: Flags) -> FrequencyGrid:
         """The same frequencies with the harmonics that are ``seen`` (E,) only."""
         return replace(self, m=self.m[seen], k=self.k[seen], o=self.o[seen])
 
@@ -104,7 +100,12 @@ class Phases:
 
 
 def solve_phases(
-    grid: FrequencyGrid, sums: Array, errors: Array, known: Index, phases: Array, covariance: Array
+    grid: FrequencyGrid,
+    sums: Array,
+    errors: Array,
+    known: Index,
+    phases: Array,
+    covariance: Array | None = None,
 ) -> Phases:
     """All phases from the sums and declared phases of G_i, by weighted least squares.
 
@@ -116,13 +117,14 @@ def solve_phases(
     known : array of int, shape (r,)
         The frequencies at which the phase of G_i is declared.
     phases, covariance : array, shapes (r,) and (r, r)
-        The declared phases and their covariance.
+        The declared phases and their covariance; without it they are exact.
 
     Returns
     -------
     Phases
         nan where the declared phases and the sums leave a phase open.
     """
+    covariance = np.zeros((len(phases), len(phases))) if covariance is None else covariance
     used = np.isfinite(sums) & np.isfinite(errors)
     n, total = len(grid.inputs), grid.equations.shape[1]
     free = np.setdiff1d(np.arange(total), known)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from hident.arrays import Array
+from hident.arrays import Array, Flags, Index
 from hident.config.spec import Count, Real, Spec
 from hident.estimators.frequency.frequency_gain import FrequencyGains
-from hident.estimators.frequency.gauge import FrequencyGrid, Index, Phases, bode_weights, solve_phases
-from hident.estimators.frequency.rational_gauge import RationalBlock, fit_rational
+from hident.estimators.frequency.gauge import FrequencyGrid, Phases, bode_weights, solve_phases
+from hident.estimators.frequency.rational_gauge import RationalFit, fit_rational
 
 Positive = Annotated[Real, Field(gt=0)]
 
@@ -26,8 +26,8 @@ def _proper(degrees: tuple[int, int]) -> tuple[int, int]:
     return degrees
 
 
-FIT = ("gauge_chi2", "gauge_chi2_freedom", "gauge_misfit")
-"""What a rational gauge says of its fit."""
+Gauged = tuple[Phases, RationalFit | None]
+"""All phases, and the fit of a rational gauge."""
 Degrees = Annotated[
     tuple[Annotated[Count, Field(ge=0)], Annotated[Count, Field(ge=1)]], AfterValidator(_proper)
 ]
@@ -50,14 +50,14 @@ class DelayFree(Spec):
                 "one of another frequency: add frequencies such as 2 w, 4 w, 8 w"
             )
 
-    def phases(self, found: FrequencyGains, level: float = 0.0) -> tuple[Phases, dict[str, float]]:
+    def phases(self, found: FrequencyGains, level: float = 0.0) -> Gauged:
         """All phases; the ladder phi_i(w) = -sum_j D(2^j w)/2^(j+1), D(w) = theta_1(2 w) - theta_2(w).
 
         A ladder ends below its first lost rung; a phase that stands on none is nan.
         """
         seen = found.grid.where(np.isfinite(found.sums))
         tops = np.intersect1d(seen.tops, np.flatnonzero(_linked(seen)))
-        return _solved(found, tops, np.full(len(tops), self.final_phase)), {}
+        return _solved(found, tops, np.full(len(tops), self.final_phase)), None
 
 
 class MinimumPhase(Spec):
@@ -71,13 +71,13 @@ class MinimumPhase(Spec):
         if len(grid.inputs) < 2:
             raise ValueError("the gauge minimum_phase needs two frequencies or more")
 
-    def phases(self, found: FrequencyGains, level: float = 0.0) -> tuple[Phases, dict[str, float]]:
+    def phases(self, found: FrequencyGains, level: float = 0.0) -> Gauged:
         """All phases."""
         n = len(found.grid.inputs)
         known = np.flatnonzero(np.isfinite(found.log_gains[:n]))
         weights = bode_weights(found.grid.inputs[known])
         covariance = weights @ found.covariance[np.ix_(known, known)] @ weights.T
-        return _solved(found, known, weights @ found.log_gains[known], covariance), {}
+        return _solved(found, known, weights @ found.log_gains[known], covariance), None
 
 
 class Rational(Spec):
@@ -106,8 +106,8 @@ class Rational(Spec):
             for j in range(1, degree + 1)
         ]
 
-    def phases(self, found: FrequencyGains, level: float = 0.0) -> tuple[Phases, dict[str, float]]:
-        """All phases, and the coefficients with how well they fit; the fit is tested at the ``level``."""
+    def phases(self, found: FrequencyGains, level: float = 0.0) -> Gauged:
+        """All phases, and the fit, which is tested at the ``level``."""
         fit = fit_rational(
             found.grid,
             found.log_gains,
@@ -117,9 +117,7 @@ class Rational(Spec):
             (self.input, self.output),
             level,
         )
-        tested = (fit.chi2, float(fit.freedom), fit.misfit)
-        coefficients = named(self.names(), *_coefficients(fit.input, fit.output))
-        return fit.phases, coefficients | dict(zip(FIT, tested, strict=True))
+        return fit.phases, fit
 
 
 class KnownPhase(Spec):
@@ -136,52 +134,28 @@ class KnownPhase(Spec):
         for (omega, _), m in zip(self.at, known, strict=True):
             if not math.isclose(omega, grid.inputs[m], rel_tol=1e-9):
                 raise ValueError(f"a phase is given at {omega:g}, which is not among the frequencies")
-        test = _solve(grid, np.zeros(len(grid.m)), np.ones(len(grid.m)), known, np.zeros(len(known)))
+        test = solve_phases(grid, np.zeros(len(grid.m)), np.ones(len(grid.m)), known, np.zeros(len(known)))
         if np.isnan(test.input).any():
             open_ = grid.inputs[np.isnan(test.input)][0]
             raise ValueError(f"the known phases leave the phase of G_i at {open_:g} open: give it there too")
 
-    def phases(self, found: FrequencyGains, level: float = 0.0) -> tuple[Phases, dict[str, float]]:
+    def phases(self, found: FrequencyGains, level: float = 0.0) -> Gauged:
         """All phases."""
-        return _solved(found, self._indices(found.grid), np.array([phase for _, phase in self.at])), {}
+        return _solved(found, self._indices(found.grid), np.array([phase for _, phase in self.at])), None
 
     def _indices(self, grid: FrequencyGrid) -> Index:
         omega = np.array([omega for omega, _ in self.at])
         return np.asarray(np.argmin(np.abs(omega[:, None] - grid.inputs), axis=1))
 
 
-def _linked(grid: FrequencyGrid) -> Any:
+def _linked(grid: FrequencyGrid) -> Flags:
     """Whether a frequency (n,) shares a frequency of G_o with another one."""
     shared = np.bincount(grid.o)[grid.o] > 1
-    return np.bincount(grid.m, weights=shared, minlength=len(grid.inputs)) > 0
-
-
-def _solve(
-    grid: FrequencyGrid,
-    sums: Array,
-    errors: Array,
-    known: Index,
-    phases: Array,
-    covariance: Array | None = None,
-) -> Phases:
-    covariance = np.zeros((len(phases), len(phases))) if covariance is None else covariance
-    return solve_phases(grid, sums, errors, known, phases, covariance)
+    return np.asarray(np.bincount(grid.m, weights=shared, minlength=len(grid.inputs)) > 0)
 
 
 def _solved(found: FrequencyGains, known: Index, phases: Array, covariance: Array | None = None) -> Phases:
-    return _solve(found.grid, found.sums, found.sum_errors, known, phases, covariance)
-
-
-def _coefficients(first: RationalBlock, second: RationalBlock) -> tuple[Array, Array]:
-    blocks = (first, second)
-    values = np.concatenate([part for block in blocks for part in (block.b, block.a)])
-    return values, np.concatenate([part for block in blocks for part in (block.b_errors, block.a_errors)])
-
-
-def named(names: list[str], values: Array, errors: Array) -> dict[str, float]:
-    """Values and their standard errors by name."""
-    found = dict(zip(names, values.tolist(), strict=True))
-    return found | {f"se_{name}": error for name, error in zip(names, errors.tolist(), strict=True)}
+    return solve_phases(found.grid, found.sums, found.sum_errors, known, phases, covariance)
 
 
 GAUGES: dict[str, type[DelayFree] | type[MinimumPhase] | type[Rational] | type[KnownPhase]] = {

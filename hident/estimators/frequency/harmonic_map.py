@@ -14,11 +14,8 @@ from __future__ import annotations
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hident.arrays import Array
-
-Complex = NDArray[np.complex128]
+from hident.arrays import Array, Complex
 
 
 def harmonic_matrix(amplitude: Array, offset: Array, degree: int) -> Array:

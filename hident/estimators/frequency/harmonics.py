@@ -11,12 +11,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hident.arrays import Array
+from hident.arrays import Array, Complex, Index
 from hident.errors import EstimationError
-
-Complex = NDArray[np.complex128]
 
 # A period this close to a whole number of samples, relative to its length, is one.
 _WHOLE = 1e-9
@@ -43,11 +40,6 @@ class Harmonics:
     def amplitudes(self) -> Array:
         """s_1, ..., s_p, eq. (35a)."""
         return np.abs(self.values)
-
-    @property
-    def phases(self) -> Array:
-        """phi_1, ..., phi_p in (-pi, pi], eq. (35b) with the quadrant."""
-        return np.angle(self.values)
 
 
 def samples_per_period(omega: float, dt: float) -> int | None:
@@ -183,7 +175,7 @@ def _projections(y: Array, turn: float, order: int) -> Complex:
     return np.asarray(total + first[blocks] * (rest @ within[: len(rest)]))
 
 
-def _sums(turn: float, k: NDArray[np.intp], n: int) -> Complex:
+def _sums(turn: float, k: Index, n: int) -> Complex:
     """sum_{t=0}^{n-1} e^(j k turn t)."""
     half = 0.5 * turn * k
     ratio = np.divide(np.sin(n * half), np.sin(half), out=np.full(len(k), float(n)), where=k != 0)

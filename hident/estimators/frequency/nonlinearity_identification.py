@@ -12,7 +12,7 @@ from pydantic import Field
 from hident.arrays import Array
 from hident.config.spec import Count, Flag, Real, component
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite
+from hident.estimators.base import EstimatorSpec, Experiments, require_finite, with_errors
 from hident.estimators.frequency.staircase_levels import (
     Levels,
     PolynomialFit,
@@ -39,12 +39,6 @@ class Staircase:
     hold: float
 
 
-def coefficient_values(fit: PolynomialFit) -> dict[str, float]:
-    """c_0, c_1, ... and their standard errors by name."""
-    named = {f"c_{j}": float(c) for j, c in enumerate(fit.coefficients)}
-    return named | {f"se_c_{j}": float(error) for j, error in enumerate(fit.errors)}
-
-
 @component("estimator", "nonlinearity_identification", source="Brouri, Table I, eq. (5)-(10)")
 class NonlinearityIdentification(EstimatorSpec):
     """Polynomial through the outputs that settle under a staircase (unit static gains).
@@ -65,6 +59,8 @@ class NonlinearityIdentification(EstimatorSpec):
     >>> [round(found.values[name], 1) for name in ("c_0", "c_1", "c_2")]
     [2.0, 1.0, 0.5]
     """
+
+    holds = ("nonlinearity",)
 
     degree: Annotated[Count, Field(ge=1)] = 3
     """Degree of the polynomial; as many distinct levels plus one are needed."""
@@ -87,10 +83,9 @@ class NonlinearityIdentification(EstimatorSpec):
     def draws(self) -> bool:
         return False
 
-    def provides(self) -> frozenset[str]:
-        names = [f"{prefix}c_{j}" for prefix in ("", "se_") for j in range(self.degree + 1)]
-        values = (*names, "noise", "rise_time", "hold", "drift")
-        return frozenset({"nonlinearity", *(f"value {name}" for name in values)})
+    def names(self) -> list[str]:
+        coefficients = [f"c_{j}" for j in range(self.degree + 1)]
+        return [*with_errors(coefficients), "noise", "rise_time", "hold", "drift"]
 
     def fewest_samples(self) -> int:
         return 8 * (self.degree + 1)
@@ -108,17 +103,12 @@ class NonlinearityIdentification(EstimatorSpec):
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         found = self.staircase(record)
-        levels = found.levels
+        levels, c = found.levels, found.polynomial.coefficients
         drift = np.abs(levels.drift) / np.where(levels.drift_error > 0.0, levels.drift_error, np.inf)
-        measured = {
-            "noise": levels.noise,
-            "rise_time": found.rise_time,
-            "hold": found.hold,
-            "drift": float(np.max(drift)),
-        }
+        measured = levels.noise, found.rise_time, found.hold, np.max(drift)
         return Estimate(
-            nonlinearity=Polynomial(coefficients=tuple(found.polynomial.coefficients.tolist())),
-            values=coefficient_values(found.polynomial) | measured,
+            nonlinearity=Polynomial(coefficients=tuple(c.tolist())),
+            values=self.named(c, found.polynomial.errors, *measured),
             details={"staircase": found},
         )
 

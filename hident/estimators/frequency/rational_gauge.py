@@ -7,15 +7,13 @@ from functools import cached_property
 from itertools import pairwise, product
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hident.arrays import Array
+from hident.arrays import Array, Complex, Flags
 from hident.errors import EstimationError
 from hident.estimators.frequency import chi_squared
 from hident.estimators.frequency.gauge import FrequencyGrid, Phases
 from hident.numerics.choices import first_least
 
-Complex = NDArray[np.complex128]
 Orders = tuple[int, int]
 """Degrees (m, n) of a block's numerator and denominator."""
 
@@ -62,6 +60,17 @@ class RationalFit:
     freedom: int
     misfit: float
 
+    @property
+    def coefficients(self) -> Array:
+        """b and a of the input block, then of the output block."""
+        return np.concatenate([self.input.b, self.input.a, self.output.b, self.output.a])
+
+    @property
+    def errors(self) -> Array:
+        """The standard errors of the coefficients."""
+        first, second = self.input, self.output
+        return np.concatenate([first.b_errors, first.a_errors, second.b_errors, second.a_errors])
+
     def why_misfit(self, level: float) -> str:
         """What to say if chi^2 is above what right blocks exceed with probability ``level``; else empty."""
         large = chi_squared.why_too_large(self.chi2, self.freedom, self.misfit, level)
@@ -93,7 +102,7 @@ class _Problem:
 
     powers: tuple[Complex, Complex]
     orders: tuple[Orders, Orders]
-    gains: NDArray[np.bool_]
+    gains: Flags
     log_gains: Array
     whiten: Array
     equations: Array

@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hident.arrays import Array
+from hident.arrays import Array, Complex, Index
 from hident.errors import EstimationError
 from hident.estimators.frequency.gauge import FrequencyGrid
 from hident.estimators.frequency.harmonic_map import quadrature
 from hident.estimators.frequency.harmonics import Harmonics
-
-Complex = NDArray[np.complex128]
 
 # Errors of rounding, relative to the root mean square: no harmonic is known better.
 _ROUNDING = 1e-12
@@ -24,7 +22,7 @@ _ROUNDING = 1e-12
 _SAME = 1e-9
 
 
-def match_frequencies(omega: Array, amplitude: Array, frequencies: Array) -> NDArray[np.intp]:
+def match_frequencies(omega: Array, amplitude: Array, frequencies: Array) -> Index:
     """Which of the increasing ``frequencies`` (n,) each sine of frequency ``omega`` (E,) has, shape (E,).
 
     Raises
@@ -56,7 +54,7 @@ class SineResponses:
     """
 
     grid: FrequencyGrid
-    m: NDArray[np.intp]
+    m: Index
     amplitude: Array
     offset: Array
     mean: Array
@@ -94,7 +92,7 @@ class SineResponses:
         return int(self.values.shape[1])
 
     @cached_property
-    def output(self) -> NDArray[np.intp]:
+    def output(self) -> Index:
         """The index of k w among the frequencies of G_o, shape (E, p)."""
         return self.grid.o.reshape(-1, self.order)[self.m]
 

@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hident.arrays import Array
+from hident.arrays import Array, Index
 from hident.errors import EstimationError
 
 # A time this close below a switching instant, relative to the time, is at it.
@@ -31,7 +30,7 @@ class Levels:
     drift: Array
     drift_error: Array
 
-    def unsettled(self, threshold: float, tolerance: float) -> NDArray[np.intp]:
+    def unsettled(self, threshold: float, tolerance: float) -> Index:
         """The levels whose drift is beyond ``threshold`` standard errors and ``tolerance`` of the range."""
         limit = np.maximum(threshold * self.drift_error, tolerance * np.ptp(self.values))
         return np.flatnonzero(np.abs(self.drift) > limit)
@@ -50,13 +49,13 @@ class PolynomialFit:
         return np.sqrt(np.diag(self.covariance))
 
 
-def level_bounds(times: Array, n: int, dt: float) -> NDArray[np.intp]:
+def level_bounds(times: Array, n: int, dt: float) -> Index:
     """The first samples of levels that begin at ``times`` (L,), and the end ``n``, shape (L + 1,)."""
     first = np.ceil(times / dt * (1.0 - _AT_THE_SWITCH)).astype(np.intp)
     return np.append(first, n)
 
 
-def settled_levels(y: Array, bounds: NDArray[np.intp], discard: float = 0.5) -> Levels:
+def settled_levels(y: Array, bounds: Index, discard: float = 0.5) -> Levels:
     """The mean output of each level of a staircase.
 
     Parameters
@@ -98,11 +97,11 @@ def settled_levels(y: Array, bounds: NDArray[np.intp], discard: float = 0.5) -> 
     )
 
 
-def _means(y: Array, starts: NDArray[np.intp], ends: NDArray[np.intp]) -> Array:
+def _means(y: Array, starts: Index, ends: Index) -> Array:
     return np.array([np.mean(y[a:b]) for a, b in zip(starts, ends, strict=True)])
 
 
-def _squares(y: Array, starts: NDArray[np.intp], ends: NDArray[np.intp], means: Array) -> float:
+def _squares(y: Array, starts: Index, ends: Index, means: Array) -> float:
     return sum(float(np.sum((y[a:b] - mean) ** 2)) for a, b, mean in zip(starts, ends, means, strict=True))
 
 

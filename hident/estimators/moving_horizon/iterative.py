@@ -8,12 +8,13 @@ from contextlib import contextmanager
 from typing import Annotated, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
 from hident.arrays import Array
 from hident.config.spec import Count, Flag, Real
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
+from hident.estimators.base import AtOneInterval, require_finite, require_varying
 from hident.estimators.convergence import Unconverged
 from hident.estimators.moving_horizon.searches import StructureSearch
 from hident.estimators.moving_horizon.transform.horizon_least_squares import (
@@ -27,21 +28,26 @@ from hident.numerics.parts import Parts, whole
 from hident.records import Record
 
 
-def padded(block: ContinuousTransferFunction, n: int, prefix: str = "") -> dict[str, float]:
-    """The parameters a_1, ..., a_n, b_0, ..., b_(n - 1) by name, zero where the block has none."""
-    names = [f"a_{i}" for i in range(1, n + 1)] + [f"b_{i}" for i in range(n)]
-    values = block.values()
-    return {prefix + name: values.get(name, 0.0) for name in names}
+def parameter_names(n: int, lowest: int = 0) -> list[str]:
+    """a_1, ..., a_n, b_lowest, ..., b_(n - 1)."""
+    return [*(f"a_{i}" for i in range(1, n + 1)), *(f"b_{i}" for i in range(lowest, n))]
 
 
-def multicollinearity(phi: Array, prefix: str = "") -> dict[str, float]:
-    """Mean and largest variance inflation factor and the scaled condition of the regressors, by name."""
+def padded(a: ArrayLike, b: ArrayLike, n: int, lowest: int = 0) -> Array:
+    """What belongs to :func:`parameter_names`, zero where ``a`` and ``b`` have no parameter."""
+    return np.concatenate([np.pad(a, (0, n - np.size(a))), np.pad(b, (0, n - lowest - np.size(b)))])
+
+
+def regression_names(n: int) -> list[str]:
+    """The names that :func:`regression_values` has for a block of at most order ``n``."""
+    return [*parameter_names(n), "vif_mean", "vif_max", "condition"]
+
+
+def regression_values(block: ContinuousTransferFunction, phi: Array, n: int) -> list[float]:
+    """The parameters, mean and largest variance inflation factor, and scaled condition of the regressors."""
     factors = variance_inflation(phi)
-    return {
-        f"{prefix}vif_mean": float(factors.mean()),
-        f"{prefix}vif_max": float(factors.max()),
-        f"{prefix}condition": float(scaled_condition(phi)),
-    }
+    measures = factors.mean(), factors.max(), scaled_condition(phi)
+    return [*padded(block.a, block.b, n).tolist(), *map(float, measures)]
 
 
 @contextmanager
@@ -57,7 +63,7 @@ def under(field: str) -> Iterator[None]:
 ROUNDS = 5
 
 
-class MovingHorizonSpec(EstimatorSpec):
+class MovingHorizonSpec(AtOneInterval):
     """Base of the estimators of continuous-time models over moving horizons.
 
     Every horizon lies inside one experiment. Each experiment begins at rest: its input is zero before it, so
@@ -68,12 +74,6 @@ class MovingHorizonSpec(EstimatorSpec):
     """Delay d, in the unit of dt; need not be a multiple of dt."""
     start: Annotated[Real, Field(ge=0)] = 0.0
     """Time t_0 at which the first horizon starts, counted from the start of each experiment."""
-
-    def takes_experiments(self) -> Experiments:
-        return "at_one_interval"
-
-    def draws(self) -> bool:
-        return False
 
     def fewest_samples(self) -> int:
         return 2
@@ -231,40 +231,27 @@ class IterativeSpec(MovingHorizonSpec):
 
     def error_names(self, lowest: int) -> list[str]:
         """The names of the standard errors of a_1, ... and of b_i from b_lowest on."""
-        n = self.largest_n
-        return [f"se_a_{i}" for i in range(1, n + 1)] + [f"se_b_{i}" for i in range(lowest, n)]
-
-    def errors_by_name(self, a: Array, b: Array, lowest: int) -> dict[str, float]:
-        """The standard errors of a_1, ... and b_lowest, ... by name, zero where there is no parameter."""
-        errors = dict.fromkeys(self.error_names(lowest), 0.0)
-        errors |= {f"se_a_{i}": float(error) for i, error in enumerate(a, start=1)}
-        return errors | {f"se_b_{i}": float(error) for i, error in enumerate(b, start=lowest)}
+        return [f"se_{name}" for name in parameter_names(self.largest_n, lowest)]
 
     def stage_names(self) -> list[str]:
         """The names of the values of both stages' linear blocks and regressions."""
-        letters = [f"a_{i}" for i in range(1, self.largest_n + 1)] + [f"b_{i}" for i in range(self.largest_n)]
-        names = [*letters, "vif_mean", "vif_max", "condition"]
+        names = regression_names(self.largest_n)
         return [*names, *(f"first_{name}" for name in names), "n", "m", "delay", "settling_time", "horizon"]
 
     def stage_values(
         self, first: ContinuousTransferFunction, phi: Array, horizons: Horizons, second: LinearFit | None
-    ) -> dict[str, float]:
+    ) -> list[float]:
         """The values of :meth:`stage_names`, from the first stage's block, regressors and horizons."""
         block, last_phi = first, phi
         if second is not None:
             block, last_phi, horizons = second.block, second.phi, second.horizons
-        n, m, delay = structure_of(block)
-        return {
-            **padded(block, self.largest_n),
-            **padded(first, self.largest_n, "first_"),
-            **multicollinearity(last_phi),
-            **multicollinearity(phi, "first_"),
-            "n": float(n),
-            "m": float(m),
-            "delay": delay,
-            "settling_time": first.settling_time(),
-            "horizon": horizons.eta,
-        }
+        return [
+            *regression_values(block, last_phi, self.largest_n),
+            *regression_values(first, phi, self.largest_n),
+            *structure_of(block),
+            first.settling_time(),
+            horizons.eta,
+        ]
 
 
 def structure_of(block: ContinuousTransferFunction) -> tuple[int, int, float]:

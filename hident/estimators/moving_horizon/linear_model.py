@@ -11,10 +11,12 @@ from pydantic import model_validator
 from hident.config.spec import component
 from hident.estimators.moving_horizon.iterative import (
     MovingHorizonSpec,
-    multicollinearity,
-    padded,
+    regression_names,
+    regression_values,
+    structure_of,
     under,
 )
+from hident.estimators.moving_horizon.searches import found_searches
 from hident.estimators.moving_horizon.transform.linear_transform import SecondStageSpec
 from hident.estimators.normalisation import Normalisation, known_function
 from hident.numerics.parts import Parts
@@ -35,6 +37,7 @@ class LinearModel(MovingHorizonSpec):
     [2.5, 1.5]
     """
 
+    holds = ("continuous", "response")
     instead: ClassVar[Mapping[str, str]] = {
         "delay": "'block: {structure: search, delays: [...]}' searches among several"
     }
@@ -58,11 +61,8 @@ class LinearModel(MovingHorizonSpec):
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (known_function("the nonlinearity is u", np.positive),)
 
-    def provides(self) -> frozenset[str]:
-        n = self.block.most
-        names = [f"a_{i}" for i in range(1, n + 1)] + [f"b_{i}" for i in range(n)]
-        names += ["vif_mean", "vif_max", "condition", "n", "m", "delay", "settling_time"]
-        return frozenset({"continuous", "response"} | {f"value {name}" for name in names})
+    def names(self) -> list[str]:
+        return [*regression_names(self.block.most), "n", "m", "delay", "settling_time"]
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         dt, eta = self.sampling_interval(record), self.block.horizon
@@ -78,17 +78,10 @@ class LinearModel(MovingHorizonSpec):
             parts=record.experiments,
         )
         block = found.block
-        values = {
-            **padded(block, self.block.most),
-            **multicollinearity(found.phi),
-            "n": float(len(block.a)),
-            "m": float(len(block.b) - 1),
-            "delay": block.delay,
-            "settling_time": block.settling_time(),
-        }
+        values = regression_values(block, found.phi, self.block.most)
         return Estimate(
             continuous=block,
             response=block.respond,
-            values=values,
-            details={} if search is None else {"structure": search},
+            values=self.named(values, *structure_of(block), block.settling_time()),
+            details=found_searches(None, search),
         )

@@ -56,34 +56,29 @@ _ROUNDING = 1e-12
 class Refinement:
     """A structured output-error fit.
 
-    ``coefficients`` are c (J,) or e_-2, e_-1, e_2; ``covariance`` (P, P) is that of a_1, ..., a_n, of b_1,
-    ..., b_m (Hammerstein) or b_0, ..., b_m (Wiener), then of the coefficients; ``variance`` is the noise's.
-    ``left`` is the length of the step that is left at the end, in standard errors; ``stalled`` says that the
-    iteration ended on a kink of the criterion, where it is no measure of the distance to the minimum.
+    ``coefficients`` are c (J,) or e_-2, e_-1, e_2; ``standard_errors`` (P,) are those of a_1, ..., a_n, of
+    b_1, ..., b_m (Hammerstein) or b_0, ..., b_m (Wiener), then of the coefficients. ``left`` is the length of
+    the step that is left at the end, in standard errors; ``stalled`` says that the iteration ended on a kink
+    of the criterion, where it is no measure of the distance to the minimum.
     """
 
     block: ContinuousTransferFunction
     coefficients: Array
-    covariance: Array
-    variance: float
+    standard_errors: Array
     iterations: int
     left: float
     stalled: bool
 
-    @property
-    def standard_errors(self) -> Array:
-        """Those of the parameters in the order of ``covariance``, shape (P,)."""
-        return np.sqrt(np.diag(self.covariance))
-
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """A model: the residuals (N,) and J (N, P) at ``theta``, and the coefficients of the nonlinearity.
+    """A model: the residuals (N,) and J (N, P) at ``theta``, its block, and the nonlinearity's coefficients.
 
     Of most models that a halved step tries, only the loss is asked for: ``derivatives`` gives J.
     """
 
     theta: Array
+    block: ContinuousTransferFunction
     coefficients: Array
     residuals: Array
     derivatives: Callable[[], Array]
@@ -146,18 +141,7 @@ def _stable(a: Array, b: Array, delay: float) -> ContinuousTransferFunction | No
     return block if block.is_stable() else None
 
 
-@dataclass(frozen=True, eq=False)
-class _End:
-    """Where an iteration ended: see :class:`Refinement`."""
-
-    point: _Point
-    covariance: Array
-    iterations: int
-    left: float
-    stalled: bool
-
-
-def _minimised(model: _Model, theta: Array, size: float, *, kinks: bool) -> _End:
+def _minimised(model: _Model, theta: Array, size: float, *, kinks: bool) -> Refinement:
     """Minimise the squared residuals from ``theta`` (p,) for an output of norm ``size``.
 
     ``kinks`` says that the criterion may have some.
@@ -191,16 +175,10 @@ def _minimised(model: _Model, theta: Array, size: float, *, kinks: bool) -> _End
             if not on_a_kink:
                 raise EstimationError(f"no step lowers the output error after {found.iterations} steps")
     root = factors.inverse_root
+    errors = np.sqrt(np.diag(point.variance * root @ root.T))
     left = found.length / error if error else 0.0
-    covariance = point.variance * root @ root.T
-    return _End(point, covariance, found.iterations, left, found.status == "stalled")
-
-
-def _refinement(block: ContinuousTransferFunction | None, end: _End) -> Refinement:
-    assert block is not None  # it is that of a model
-    point = end.point
     return Refinement(
-        block, point.coefficients, end.covariance, point.variance, end.iterations, end.left, end.stalled
+        point.block, point.coefficients, errors, found.iterations, left, found.status == "stalled"
     )
 
 
@@ -242,11 +220,8 @@ def refine_hammerstein(
         raise EstimationError("the start has no static gain: its b_0 is zero")
     n = len(block.a)
 
-    def unpacked(theta: Array) -> ContinuousTransferFunction | None:
-        return _stable(theta[:n], np.concatenate(([1.0], theta[n:])), block.delay)
-
     def model(theta: Array) -> _Point | None:
-        at = unpacked(theta)
+        at = _stable(theta[:n], np.concatenate(([1.0], theta[n:])), block.delay)
         if at is None:
             return None
         responses = np.column_stack([responses_in(parts, at, phi, dt) for phi in basis_values.T])
@@ -256,11 +231,10 @@ def refine_hammerstein(
             outer = np.delete(sensitivities(at, basis_values @ c, dt, parts), n, axis=1)
             return np.hstack([outer, responses])
 
-        return _Point(theta, c, y - responses @ c, derivatives)
+        return _Point(theta, at, c, y - responses @ c, derivatives)
 
     start = np.concatenate((block.a, np.array(block.b[1:]) / block.b[0]))
-    end = _minimised(model, start, float(np.linalg.norm(y)), kinks=False)
-    return _refinement(unpacked(end.point.theta), end)
+    return _minimised(model, start, float(np.linalg.norm(y)), kinks=False)
 
 
 def refine_wiener(
@@ -311,8 +285,7 @@ def refine_wiener(
             by_block = forward_slope(x, e, *points)[:, None] * sensitivities(at, u, dt, parts)
             return np.hstack([by_block, forward_by_slopes(x, e, *points)])
 
-        return _Point(theta, e, y - forward(x, e, *points), derivatives)
+        return _Point(theta, at, e, y - forward(x, e, *points), derivatives)
 
     start = np.array([*block.a, *block.b, *nonlinearity.e])
-    end = _minimised(model, start, float(np.linalg.norm(y)), kinks=True)
-    return _refinement(_stable(end.point.theta[:n], end.point.theta[n:p], block.delay), end)
+    return _minimised(model, start, float(np.linalg.norm(y)), kinks=True)

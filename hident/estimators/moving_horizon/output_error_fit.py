@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import AfterValidator
 
 from hident.config.spec import Of, component
-from hident.estimators.base import EstimatorSpec, Experiments
+from hident.estimators.base import AtOneInterval, EstimatorSpec, with_errors
 from hident.estimators.moving_horizon.hammerstein.iterative_hammerstein import IterativeHammerstein
 from hident.estimators.moving_horizon.hammerstein.static_functions import (
     PolynomialFunction,
@@ -40,7 +40,7 @@ def _refinable(start: EstimatorSpec) -> EstimatorSpec:
 
 
 @component("estimator", "output_error")
-class OutputError(EstimatorSpec):
+class OutputError(AtOneInterval):
     """The two-stage estimate, refined to the least squared error of the simulated output.
 
     Values besides the parameters and their se_: iterations; step_left, the length of the step that is left,
@@ -62,14 +62,10 @@ class OutputError(EstimatorSpec):
     [2.5, 1.5]
     """
 
+    holds = ("nonlinearity", "continuous", "response")
+
     start: Annotated[IterativeSpec, Of("estimator"), AfterValidator(_refinable)]
     """The estimate to start from: iterative_hammerstein or iterative_wiener."""
-
-    def takes_experiments(self) -> Experiments:
-        return self.start.takes_experiments()
-
-    def draws(self) -> bool:
-        return False
 
     def fewest_samples(self) -> int:
         return self.start.fewest_samples()
@@ -83,7 +79,7 @@ class OutputError(EstimatorSpec):
     def check_record(self, record: Record) -> None:
         self.start.check_record(record)
 
-    def _names(self) -> list[str]:
+    def parameters(self) -> list[str]:
         """The names of the refined parameters, in their order."""
         start = self.start
         n, m = (start.first.n, start.first.m) if start.second is None else (start.second.most, start.second.m)
@@ -93,11 +89,8 @@ class OutputError(EstimatorSpec):
             return [*a, *b, *(f"c_{j}" for j in range(1, start.nonlinearity.size + 1))]
         return [*a, *(f"b_{i}" for i in range(m + 1)), "e_-2", "e_-1", "e_2"]
 
-    def provides(self) -> frozenset[str]:
-        names = self._names()
-        names += [*(f"se_{name}" for name in names), "iterations", "converged", "step_left"]
-        values = {f"value {name}" for name in names}
-        return frozenset({"nonlinearity", "continuous", "response"} | values)
+    def names(self) -> list[str]:
+        return [*with_errors(self.parameters()), "iterations", "converged", "step_left"]
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         self.require_experiments(record)
@@ -129,13 +122,6 @@ class OutputError(EstimatorSpec):
         )
 
     def _values(self, found: Refinement, b: tuple[float, ...]) -> dict[str, float]:
-        names = self._names()
-        parameters = [*found.block.a, *b, *found.coefficients.tolist()]
-        errors = zip((f"se_{name}" for name in names), found.standard_errors.tolist(), strict=True)
-        return {
-            **dict(zip(names, parameters, strict=True)),
-            **dict(errors),
-            "iterations": float(found.iterations),
-            "converged": float(not found.stalled),
-            "step_left": found.left,
-        }
+        parameters = found.block.a, b, found.coefficients
+        ended = found.iterations, not found.stalled, found.left
+        return self.named(*parameters, found.standard_errors, *ended)

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hident.arrays import Array
+from hident.arrays import Array, Flags, Index
 from hident.numerics.choices import first_least
 
 
@@ -34,14 +33,14 @@ class StructureSearch:
     ``error`` is relative: the root mean square output error over the standard deviation of the output.
     """
 
-    n: NDArray[np.intp]
-    m: NDArray[np.intp]
+    n: Index
+    m: Index
     delay: Array
     error: Array
     chosen: int
 
 
-def best_pair(loss: Array, converged: NDArray[np.bool_], scale: float) -> int:
+def best_pair(loss: Array, converged: Flags, scale: float) -> int:
     """The first pair of partition points with the least loss, as an index into the flattened ``loss``.
 
     A pair whose iteration has not ``converged`` counts only where none has: its loss is one of a wandering

@@ -6,11 +6,9 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hident.arrays import Array
+from hident.arrays import Array, Complex
 
-Complex = NDArray[np.complex128]
 _PRECISION = 1e-14
 _BLOCK = 1024
 

@@ -9,7 +9,7 @@ theta   a_1, ..., a_p and the constant; with several experiments, a 1 and a cons
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -17,9 +17,8 @@ from pydantic import Field
 from hident.arrays import Array
 from hident.config.spec import Count, Of, component
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite
-from hident.estimators.nonparametric.least_squares import dynamics, lagged, require_irregular
-from hident.estimators.normalisation import Normalisation, first_coefficient
+from hident.estimators.base import require_finite
+from hident.estimators.nonparametric.least_squares import DynamicsSpec, dynamics, lagged
 from hident.numerics.least_squares import ILL_CONDITIONED, lengths
 from hident.numerics.parts import Parts
 from hident.records import Estimate, Record
@@ -109,7 +108,7 @@ _UNCORRELATED = 1e-12
 
 
 @component("estimator", "instrumental_variables", source="Mzyk 2009, eq. (12)")
-class InstrumentalVariables(EstimatorSpec):
+class InstrumentalVariables(DynamicsSpec):
     """Linear block by instrumental variables m(u); consistent under output noise.
 
     The first ``order`` + ``ma_order`` samples of each experiment serve as past samples only.
@@ -123,8 +122,6 @@ class InstrumentalVariables(EstimatorSpec):
     0.5
     """
 
-    identifies_dynamics: ClassVar[bool] = True
-
     order: Annotated[Count, Field(ge=1)]
     """Order p of the autoregression; a high one also approximates an invertible ARMA block."""
     instrument: Annotated[NonlinearitySpec, Of("nonlinearity")]
@@ -132,27 +129,9 @@ class InstrumentalVariables(EstimatorSpec):
     ma_order: Annotated[Count, Field(ge=0)] = 0
     """Order q of the moving average b_1, ..., b_q (b_0 = 1)."""
 
-    def takes_experiments(self) -> Experiments:
-        return "at_one_interval"
+    def numerator_order(self) -> int:
+        return self.ma_order
 
-    def draws(self) -> bool:
-        return False
-
-    def provides(self) -> frozenset[str]:
-        feedback = {f"value a_{i + 1}" for i in range(self.order)}
-        numerator = {f"value b_{i + 1}" for i in range(self.ma_order)}
-        return frozenset({"linear", "value c", *feedback, *numerator})
-
-    def fewest_samples(self) -> int:
-        # One equation more than unknowns: else any input would seem to follow from its past.
-        return 2 * self.order + self.ma_order + 2
-
-    def normalisations(self) -> tuple[Normalisation, ...]:
-        return (first_coefficient(),)
-
-    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
-        self.require_experiments(record)
-        require_finite(record.y)
-        require_irregular(record.u, self.order, record.experiments)
+    def identify(self, record: Record) -> Estimate:
         m = self.instrument(record.u)
         return instrumental_variables(record.y, m, self.order, self.ma_order, record.experiments)

@@ -6,10 +6,9 @@ import math
 from typing import Annotated, Literal, assert_never
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from hident.arrays import Array, Characteristic
+from hident.arrays import Array, Characteristic, Index
 from hident.config.spec import Real, Spec, component
 from hident.errors import EstimationError
 from hident.estimators.base import require_finite
@@ -38,9 +37,37 @@ _BLOCK = 2**15
 
 
 class KernelRegression:
-    """A fitted kernel regression, callable on arrays of shape (M,); see :func:`kernel_regression`.
+    """The kernel estimate of the regression R, callable on points of shape (M,).
 
     The samples are sorted once, and shared by all evaluations.
+
+    Parameters
+    ----------
+    u, y : arrays, shape (N,)
+        Input and output, or filtered output.
+    kernel : str
+        With x = (u_k - u)/h: ``window_half``: 1 for abs(x) <= 0.5; ``window_unit``: 1 for abs(x) < 1;
+        ``triangular``: 1 - abs(x) and ``epanechnikov``: 0.75 (1 - x^2), both for abs(x) <= 1; ``gaussian``:
+        exp(-x^2/2)/sqrt(2 pi), at points within 8.5 bandwidths of a sample.
+    bandwidth : float
+        h > 0, in the unit of u.
+    empty : str
+        What a point without a sample gets: ``nearest`` y of the nearest sample (the mean over all samples
+        that tie), ``zero``, ``mean`` of all y, or ``fail``.
+    order : integer array, shape (N,), optional
+        The order that sorts u, if known.
+
+    Raises
+    ------
+    EstimationError
+        If y is not finite; when called with ``empty="fail"``, if a point has no sample.
+
+    Notes
+    -----
+    Mzyk 2009, eq. (4), and (15) for a filtered output; without the subtraction of R(0). The paper doesn't
+    say what a point without a sample gets. Takes O((N + M) log N). The error against the direct sum, in
+    units of max|y|, is below 1e-12, and below 1e-11 for the compact kernels where a window holds a sample or
+    two of N = 1e5.
     """
 
     def __init__(
@@ -50,8 +77,8 @@ class KernelRegression:
         *,
         kernel: KernelName,
         bandwidth: float,
-        empty: Empty,
-        order: NDArray[np.intp] | None = None,
+        empty: Empty = "nearest",
+        order: Index | None = None,
     ) -> None:
         require_finite(y)
         if order is None:
@@ -116,56 +143,6 @@ class KernelRegression:
         stop = np.where(right_distance <= left_distance, np.searchsorted(self._u, above, "right"), right)
         mean: Array = self._y_sums.between(start, stop) / (stop - start)
         return mean
-
-
-def kernel_regression(
-    u: Array,
-    y: Array,
-    points: Array,
-    *,
-    kernel: KernelName,
-    bandwidth: float,
-    empty: Empty = "nearest",
-    order: NDArray[np.intp] | None = None,
-) -> Array:
-    """The kernel estimate of the regression R at the points.
-
-    Parameters
-    ----------
-    u, y : arrays, shape (N,)
-        Input and output, or filtered output.
-    points : array, shape (M,)
-        Where to evaluate.
-    kernel : str
-        With x = (u_k - u)/h: ``window_half``: 1 for abs(x) <= 0.5; ``window_unit``: 1 for abs(x) < 1;
-        ``triangular``: 1 - abs(x) and ``epanechnikov``: 0.75 (1 - x^2), both for abs(x) <= 1; ``gaussian``:
-        exp(-x^2/2)/sqrt(2 pi), at points within 8.5 bandwidths of a sample.
-    bandwidth : float
-        h > 0, in the unit of u.
-    empty : str
-        What a point without a sample gets: ``nearest`` y of the nearest sample (the mean over all samples
-        that tie), ``zero``, ``mean`` of all y, or ``fail``.
-    order : integer array, shape (N,), optional
-        The order that sorts u, if known.
-
-    Returns
-    -------
-    array, shape (M,)
-
-    Raises
-    ------
-    EstimationError
-        With ``empty="fail"``, if a point has no sample; if y is not finite.
-
-    Notes
-    -----
-    Mzyk 2009, eq. (4), and (15) for a filtered output; without the subtraction of R(0). The paper doesn't
-    say what a point without a sample gets. Takes O((N + M) log N). The error against the direct sum, in
-    units of max|y|, is below 1e-12, and below 1e-11 for the compact kernels where a window holds a sample or
-    two of N = 1e5.
-    """
-    fitted = KernelRegression(u, y, kernel=kernel, bandwidth=bandwidth, empty=empty, order=order)
-    return fitted(points)
 
 
 class Bandwidth(Spec):

@@ -17,11 +17,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hident.arrays import Array
-
-Index = NDArray[np.intp]
+from hident.arrays import Array, Index
 
 _BLOCK = 2**15
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from hident.config.spec import component
-from hident.estimators.base import EstimatorSpec, Experiments
+from hident.estimators.base import AtOneInterval
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.linear_blocks import TransferFunction, significant
 from hident.records import Estimate, Record
@@ -15,7 +15,7 @@ from hident.systems.base import Coefficients, Numerator
 
 
 @component("estimator", "known_dynamics")
-class KnownDynamics(EstimatorSpec):
+class KnownDynamics(AtOneInterval):
     """The given linear block, whatever the data: the reference that knows it.
 
     Examples
@@ -27,22 +27,17 @@ class KnownDynamics(EstimatorSpec):
     TransferFunction(b=(1.0,), a=(0.5,))
     """
 
+    # At one interval: the block is a discrete one, and those who use it work at its interval.
     identifies_dynamics: ClassVar[bool] = True
+    holds = ("linear",)
 
     a: Coefficients = ()
     """Feedback a_1, ..., a_p: v_k = a_1 v_{k-1} + ... + b_0 w_k + ..."""
     b: Numerator = (1.0,)
     """Numerator b_0, b_1, ..."""
 
-    def takes_experiments(self) -> Experiments:
-        # The block is a discrete one, and those who use it work at its interval.
-        return "at_one_interval"
-
-    def draws(self) -> bool:
-        return False
-
-    def provides(self) -> frozenset[str]:
-        return frozenset({"linear", *(f"value {name}" for name in self._block().values())})
+    def names(self) -> list[str]:
+        return [*self._block().values()]
 
     def fewest_samples(self) -> int:
         return len(self.a) + 1

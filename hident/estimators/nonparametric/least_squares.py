@@ -13,7 +13,7 @@ from pydantic import Field
 from hident.arrays import Array
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite
+from hident.estimators.base import AtOneInterval, require_finite
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.linear_blocks import TransferFunction
 from hident.numerics.least_squares import Factorisation
@@ -61,6 +61,44 @@ def dynamics(a: Array, b: Array, c: float) -> Estimate:
     linear = TransferFunction(b=tuple(b.tolist()), a=tuple(a.tolist()))
     values = {name: value for name, value in linear.values().items() if name != "b_0"}
     return Estimate(linear=linear, values={**values, "c": c})
+
+
+class DynamicsSpec(AtOneInterval):
+    """Base of the estimators of a linear block by equations with its past outputs.
+
+    They refuse an input that follows from its own past as the output does.
+    """
+
+    identifies_dynamics: ClassVar[bool] = True
+    holds = ("linear",)
+
+    order: Annotated[Count, Field(ge=1)]
+    """Order p of the autoregression."""
+
+    def normalisations(self) -> tuple[Normalisation, ...]:
+        return (first_coefficient(),)
+
+    def numerator_order(self) -> int:
+        """The order q of the numerator."""
+        return 0
+
+    def names(self) -> list[str]:
+        zero = np.zeros(self.order)
+        return [*dynamics(zero, np.ones(1 + self.numerator_order()), 0.0).values]
+
+    def fewest_samples(self) -> int:
+        # One equation more than unknowns: else any input would seem to follow from its past.
+        return 2 * self.order + self.numerator_order() + 2
+
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
+        self.require_experiments(record)
+        require_finite(record.y)
+        require_irregular(record.u, self.order, record.experiments)
+        return self.identify(record)
+
+    def identify(self, record: Record) -> Estimate:
+        """The estimate from a record that suits."""
+        raise NotImplementedError
 
 
 def require_irregular(u: Array, p: int, parts: Parts | None = None) -> None:
@@ -122,7 +160,7 @@ def least_squares(y: Array, p: int, parts: Parts | None = None) -> Estimate:
 
 
 @component("estimator", "least_squares")
-class LeastSquares(EstimatorSpec):
+class LeastSquares(DynamicsSpec):
     """Autoregressive block by least squares; consistent only without output noise, good when it is small.
 
     The first ``order`` samples of each experiment serve as past outputs only.
@@ -136,29 +174,5 @@ class LeastSquares(EstimatorSpec):
     0.5
     """
 
-    identifies_dynamics: ClassVar[bool] = True
-
-    order: Annotated[Count, Field(ge=1)]
-    """Order p of the autoregression."""
-
-    def takes_experiments(self) -> Experiments:
-        return "at_one_interval"
-
-    def draws(self) -> bool:
-        return False
-
-    def provides(self) -> frozenset[str]:
-        return frozenset({"linear", "value c", *(f"value a_{i + 1}" for i in range(self.order))})
-
-    def fewest_samples(self) -> int:
-        # One equation more than unknowns: else any input would seem to follow from its past.
-        return 2 * self.order + 2
-
-    def normalisations(self) -> tuple[Normalisation, ...]:
-        return (first_coefficient(),)
-
-    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
-        self.require_experiments(record)
-        require_finite(record.y)
-        require_irregular(record.u, self.order, record.experiments)
+    def identify(self, record: Record) -> Estimate:
         return least_squares(record.y, self.order, record.experiments)

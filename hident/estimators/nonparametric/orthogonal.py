@@ -63,7 +63,29 @@ class OrthogonalSeries:
 def fit_orthogonal_series(
     u: Array, y: Array, basis: BasisSpec, q: int, density: Density | None = None
 ) -> OrthogonalSeries:
-    """Estimate the coefficients of (7) or (16) from u and y (N,); see :func:`orthogonal_series`."""
+    """The orthogonal series estimate of the regression R.
+
+    Parameters
+    ----------
+    u, y : arrays, shape (N,)
+        Input and output, or filtered output.
+    basis : BasisSpec
+        The orthonormal functions.
+    q : int
+        Cutoff level; the trigonometric basis has 2q + 1 functions up to it, the others q + 1.
+    density : callable, optional
+        The input's density f, if known; it then replaces its estimate in the denominator.
+
+    Raises
+    ------
+    EstimationError
+        If y is not finite.
+
+    Notes
+    -----
+    Mzyk 2009, eq. (7), and (16) for a filtered output; without the subtraction of R(0). Samples outside
+    the domain belong to no function of the basis: they are left out of the sums but counted in 1/N.
+    """
     require_finite(y)
     n = len(u)
     low, high = basis.domain()
@@ -73,42 +95,6 @@ def fit_orthogonal_series(
     # Mzyk 2009, section III-B: alpha_i = 1/N sum y_k phi_i(u_k), beta_i = 1/N sum phi_i(u_k)
     weights = y[None] if density is not None else np.stack([y, np.ones_like(y)])
     return OrthogonalSeries(basis, basis.sums(u, weights, q) / n, density)
-
-
-def orthogonal_series(
-    u: Array, y: Array, points: Array, basis: BasisSpec, q: int, density: Density | None = None
-) -> Array:
-    """The orthogonal series estimate of the regression R at the points.
-
-    Parameters
-    ----------
-    u, y : arrays, shape (N,)
-        Input and output, or filtered output.
-    points : array, shape (M,)
-        Where to evaluate, inside the basis's domain.
-    basis : BasisSpec
-        The orthonormal functions.
-    q : int
-        Cutoff level; the trigonometric basis has 2q + 1 functions up to it, the others q + 1.
-    density : callable, optional
-        The input's density f, if known; it then replaces its estimate in the denominator.
-
-    Returns
-    -------
-    array, shape (M,)
-        Not finite where the denominator is exactly zero.
-
-    Raises
-    ------
-    EstimationError
-        If points lie outside the basis's domain.
-
-    Notes
-    -----
-    Mzyk 2009, eq. (7), and (16) for a filtered output; without the subtraction of R(0). Samples outside
-    the domain belong to no function of the basis: they are left out of the sums but counted in 1/N.
-    """
-    return fit_orthogonal_series(u, y, basis, q, density)(points)
 
 
 class Terms(Spec):

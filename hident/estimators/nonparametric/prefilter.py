@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic_core import PydanticCustomError
 
-from hident.arrays import Array, Characteristic
+from hident.arrays import Array, Characteristic, Flags, Index
 from hident.config.spec import Component, Of, Real, Spec, components
 from hident.config.suggest import one_of
 from hident.errors import EstimationError
@@ -92,7 +91,7 @@ class FilteredRecord(Record):
     """
 
     whole: Record | None = None
-    kept: NDArray[np.bool_] | None = None
+    kept: Flags | None = None
 
     @classmethod
     def of(cls, record: Record, linear: TransferFunction) -> Self:
@@ -106,7 +105,7 @@ class FilteredRecord(Record):
         return cls(u, filtered, whole=record, kept=kept)
 
     @cached_property
-    def order(self) -> NDArray[np.intp]:
+    def order(self) -> Index:
         """An order that sorts u."""
         assert self.whole is not None
         assert self.kept is not None
@@ -182,6 +181,9 @@ class NonparametricSpec(EstimatorSpec):
     def regression(self, samples: Record) -> Characteristic:
         """The estimated regression of the output on the input."""
         raise NotImplementedError
+
+    def names(self) -> Sequence[str]:
+        return self.prefilter.names() if self.prefilter else ()
 
     def provides(self) -> frozenset[str]:
         dynamics = self.prefilter.provides() if self.prefilter else frozenset()

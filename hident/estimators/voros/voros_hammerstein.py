@@ -20,13 +20,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from hident.arrays import Array, Characteristic
+from hident.arrays import Array, Characteristic, Index
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite, require_varying
+from hident.estimators.base import AtOneInterval, require_finite, require_varying
 from hident.estimators.convergence import History, Unconverged, settle
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.linear_blocks import TransferFunction
@@ -99,12 +98,12 @@ def segments(x: Array, degree: int) -> Array:
     return np.hstack([np.where(negative, 0.0, powers), np.where(negative, powers, 0.0)])
 
 
-def instants(parts: Parts, first: int) -> NDArray[np.intp]:
+def instants(parts: Parts, first: int) -> Index:
     """The samples whose lags are all on record: all but the ``first`` of each experiment."""
     return np.concatenate([np.arange(part.start + first, part.stop) for part in longer_than(parts, first)])
 
 
-def delayed(rows: Array, lags: range, at: NDArray[np.intp]) -> Array:
+def delayed(rows: Array, lags: range, at: Index) -> Array:
     """``rows`` (N,) at t - lag for each lag and each t in ``at``; shape (at, lags)."""
     return rows[at[:, None] - np.asarray(lags, dtype=np.intp)]
 
@@ -156,11 +155,13 @@ def iterate(update: Callable[[Array], tuple[Array, Array]], theta: Array, x: Arr
     return Iterations(np.array(found), False)
 
 
-class VorosSpec(EstimatorSpec):
+class VorosSpec(AtOneInterval):
     """Base of Voros's methods: their fields, the decimation of the record, and their report.
 
     The first samples of each experiment, as many as the largest lag, serve as past samples only.
     """
+
+    holds = ("nonlinearity", "linear", "response")
 
     n: Annotated[Count, Field(ge=1)]
     """Number n of feedback coefficients a_1, ..., a_n."""
@@ -189,12 +190,6 @@ class VorosSpec(EstimatorSpec):
         """The response at the method's own step, from rest."""
         raise NotImplementedError
 
-    def takes_experiments(self) -> Experiments:
-        return "at_one_interval"
-
-    def draws(self) -> bool:
-        return False
-
     def structure(self) -> Structure:
         return Structure(self.n, self.m, self.delay, self.degree)
 
@@ -205,7 +200,7 @@ class VorosSpec(EstimatorSpec):
         # Every parameter but the one of the key term, and one equation more.
         return self.structure().first + self.n + self.m + 2 * self.degree
 
-    def names(self) -> list[str]:
+    def parameters(self) -> list[str]:
         """The names of the parameters a, b, f, g."""
         return [
             *(f"a_{i}" for i in range(1, self.n + 1)),
@@ -213,9 +208,8 @@ class VorosSpec(EstimatorSpec):
             *(f"{segment}_{j}" for segment in "fg" for j in range(1, self.degree + 1)),
         ]
 
-    def provides(self) -> frozenset[str]:
-        values = {f"value {name}" for name in (*self.names(), "iterations", "converged")}
-        return frozenset(values | {"nonlinearity", "linear", "response"})
+    def names(self) -> list[str]:
+        return [*self.parameters(), "iterations", "converged"]
 
     def discrete_step(self, dt: float | None) -> float:
         return super().discrete_step(dt) if self.step is None else self.step
@@ -262,21 +256,18 @@ class VorosSpec(EstimatorSpec):
         return self._estimate(found, ratio * dt)
 
     def _estimate(self, found: Iterations, step: float) -> Estimate:
-        names = self.names()
-        theta = found.theta[-1].tolist()
-        a, b = theta[: self.n], theta[self.n : self.n + self.m]
-        f, g = theta[-2 * self.degree : -self.degree], theta[-self.degree :]
-        nonlinearity = TwoSegmentPolynomial(tuple(f), tuple(g))
-        linear = TransferFunction(b=(0.0,) * self.delay + tuple(b), a=tuple(a))
-        counts = {"iterations": float(found.count), "converged": float(found.converged)}
-        reason = "the parameters rest" if found.converged else "the most iterations are reached"
-        history = History(dict(zip(names, found.theta.T, strict=True)), found.converged, reason)
+        linear_ones = self.n + self.m
+        a, b, f, g = np.split(found.theta, [self.n, linear_ones, linear_ones + self.degree], axis=1)
+        b = np.pad(b, ((0, 0), (self.delay, 0)))
+        nonlinearity = TwoSegmentPolynomial(tuple(f[-1].tolist()), tuple(g[-1].tolist()))
+        linear = TransferFunction(b=tuple(b[-1].tolist()), a=tuple(a[-1].tolist()))
+        segments = zip(self.parameters()[linear_ones:], np.hstack([f, g]).T, strict=True)
         return Estimate(
             nonlinearity=nonlinearity,
             linear=linear,
             response=at_step(lambda u: self.simulate(nonlinearity, linear, u), step),
-            values=dict(zip(names, theta, strict=True)) | counts,
-            details={"history": history},
+            values=self.named(found.theta[-1], found.count, found.converged),
+            details={"history": History(a, b, dict(segments), found.converged)},
         )
 
 
@@ -292,7 +283,7 @@ def at_step(simulate: Characteristic, step: float) -> Response:
         if finer := nearest_whole(dt / step):
             return simulate(np.repeat(u, finer))[::finer]
         if coarser := nearest_whole(step / dt):
-            at: NDArray[np.intp] = np.arange(0, len(u), coarser)
+            at: Index = np.arange(0, len(u), coarser)
             return np.interp(np.arange(len(u)), at, simulate(u[at]))
         raise ValueError(
             f"the sampling interval {dt:g} and the model's step {step:g} do not divide each other"

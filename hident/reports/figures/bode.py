@@ -67,8 +67,8 @@ class Bode(FigureSpec):
         for column, side in enumerate(("i", "o")):
             block = blocks["input" if side == "i" else "output"]
             gains, gain_errors, phases, phase_errors = grid[column::2]
-            self._draw_pair(results, (gains, gain_errors), self._names("gain", side), block, omega)
-            self._draw_pair(results, (phases, phase_errors), self._names("phase", side), block, omega)
+            self._draw_pair(results, (gains, gain_errors), "gain", side, block, omega)
+            self._draw_pair(results, (phases, phase_errors), "phase", side, block, omega)
             gains.set_yscale("log")
             gains.set_title("input block $G_i$" if side == "i" else "output block $G_o$")
             phase_errors.set_xlabel(self.x_label)
@@ -86,13 +86,14 @@ class Bode(FigureSpec):
         self,
         results: Results,
         panels: tuple[Axes, Axes],
-        names: Sequence[str],
+        quantity: str,
+        side: str,
         block: ContinuousTransferFunction,
         omega: Array,
     ) -> None:
         """Gains or phases of a block in one panel, their errors in the other; of gains in percent."""
         above, below = panels
-        of_gains = names[0].startswith("gain")
+        of_gains, names = quantity == "gain", self._names(quantity, side)
         function = frequency.gain if of_gains else frequency.phase
         true = function(block, omega)
         dense = np.geomspace(omega[0], omega[-1], _POINTS)

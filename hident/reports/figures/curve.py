@@ -15,7 +15,7 @@ from hident.engine.experiment import Plan, Statistic
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Beside, Verdict, beside
 from hident.reports.base import FigureSpec, Misfit, unscored
-from hident.reports.style import LINES, band_edge, subplots
+from hident.reports.style import LINES, band_edge, label_edges, panel_rows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -70,16 +70,8 @@ class Curve(FigureSpec):
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         panels = self._panels(results.plan)
-        columns = min(2, len(panels))
-        rows = -(-len(panels) // columns)
-        figure, grid = subplots(
-            rows,
-            columns,
-            squeeze=False,
-            sharex=True,
-            sharey=True,
-            figsize=(3.4 * columns + 1.4 * (columns == 1), 2.6 * rows + 0.7 * (rows == 1)),
-        )
+        around = 1.4 * (len(panels) == 1), 0.7 * (len(panels) <= 2)
+        figure, grid = panel_rows(len(panels), 2, (3.4, 2.6), around, sharex=True, sharey=True)
         printed = beside(verdicts)
         lines = itertools.cycle(LINES)
         for axes, names in zip(grid.flat, panels, strict=False):
@@ -92,12 +84,7 @@ class Curve(FigureSpec):
                 axes.legend()
             else:
                 figure.legend(*entries, loc="outside upper center", ncols=3)
-        for axes in grid.flat[len(panels) :]:
-            axes.set_visible(False)
-        for axes in grid[-1, :]:
-            axes.set_xlabel(self.x_label)
-        for axes in grid[:, 0]:
-            axes.set_ylabel(self.y_label)
+        label_edges(grid, self.x_label, self.y_label)
         return figure
 
     def _curves(self, results: Results, names: Sequence[str]) -> dict[str, list[Series]]:

@@ -14,7 +14,7 @@ from hident.engine.experiment import Plan
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict, beside
 from hident.reports.base import FigureSpec, Misfit
-from hident.reports.style import LINES, TRUE_LEVEL, legend_above, subplots, symbol
+from hident.reports.style import LINES, TRUE_LEVEL, label_edges, legend_above, panel_rows, subplots, symbol
 from hident.reports.tables.parameters import Efficiency, ratios
 
 if TYPE_CHECKING:
@@ -34,11 +34,7 @@ class ParameterFigure(FigureSpec):
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         theirs = {at: verdict.printed.value for at, verdict in beside(verdicts).items()}
-        columns = min(4, len(self.of))
-        rows = -(-len(self.of) // columns)
-        figure, grid = subplots(rows, columns, squeeze=False, figsize=(2.3 * columns, 2.2 * rows + 0.5))
-        for axes in grid.flat[len(self.of) :]:
-            axes.set_visible(False)
+        figure, grid = panel_rows(len(self.of), 4, (2.3, 2.2), (0.0, 0.5))
         for name, axes in zip(self.of, grid.flat, strict=False):
             for i, estimator in enumerate(self.estimators):
                 series = next(results.select(estimator, f"{self.metric} {name}"))
@@ -135,13 +131,7 @@ class EfficiencyFigure(FigureSpec):
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         source = results.plan.experiment.tables[self.table]
         assert isinstance(source, Efficiency)
-        columns = min(4, len(self.of))
-        rows = -(-len(self.of) // columns)
-        figure, grid = subplots(
-            rows, columns, squeeze=False, sharex=True, sharey=True, figsize=(2.3 * columns, 2.3 * rows + 0.5)
-        )
-        for axes in grid.flat[len(self.of) :]:
-            axes.set_visible(False)
+        figure, grid = panel_rows(len(self.of), 4, (2.3, 2.3), (0.0, 0.5), sharex=True, sharey=True)
         for i, estimator in enumerate(source.estimators):
             cases = list(results.select(estimator, f"{source.metric} {source.of[0]}"))
             x: Array = np.array([float(case.unit.labels[self.x]) for case in cases])
@@ -153,10 +143,7 @@ class EfficiencyFigure(FigureSpec):
             axes.set_title(symbol(name))
             if self.log_y:
                 axes.set_yscale("log")
-        for axes in grid[-1]:
-            axes.set_xlabel(self.x_label)
-        for axes in grid[:, 0]:
-            axes.set_ylabel("bound / variance")
+        label_edges(grid, self.x_label, "bound / variance")
         handles, labels = grid.flat[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=min(3, len(labels)))
         return figure

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -23,8 +23,6 @@ from hident.reports.style import TRUE_LEVEL, legend_above, looks, panel_grid, sy
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 
 
 @component("figure", "convergence", source="Chen, Hwang, Chang 2009, figures 5, 8 and 10b")
@@ -133,33 +131,17 @@ def iterates(found: Estimate, history: History) -> Iterator[Estimate | None]:
 
     None where a parameter is not finite or the block is none, as at a start from zero.
     """
-    for row in zip(*history.values.values(), strict=True):
-        values = dict(zip(history.values, map(float, row), strict=True))
+    blocks: dict[str, Any] = {"linear": found.linear, "continuous": found.continuous}
+    courses = history.values
+    for a, b, *row in zip(history.a.tolist(), history.b.tolist(), *courses.values(), strict=True):
+        values = dict(zip(courses, map(float, row), strict=True))
         try:
-            blocks = {name: _at(block, values) for name, block in _blocks(found).items()}
+            # Of the history's orders: a first stage's may be lower.
+            changed = {
+                name: block and replace(block, a=tuple(a), b=tuple(b)) for name, block in blocks.items()
+            }
         except ValueError:
             yield None
             continue
         finite = np.all(np.isfinite(list(values.values())))
-        yield replace(found, values={**found.values, **values}, **blocks) if finite else None
-
-
-def _blocks(found: Estimate) -> dict[str, Any]:
-    """The linear blocks of an estimate by their fields."""
-    blocks = {"linear": found.linear, "continuous": found.continuous}
-    return {name: block for name, block in blocks.items() if block is not None}
-
-
-def _at(block: TransferFunction | ContinuousTransferFunction, values: Mapping[str, float]) -> Any:
-    """The block with the coefficients among the values, and of their orders: a first stage's may be lower."""
-    now = {**block.values(), **values}
-    n = _highest(values, "a", len(block.a))
-    m = _highest(values, "b", len(block.b) - 1)
-    a = tuple(now.get(f"a_{i}", 0.0) for i in range(1, n + 1))
-    return replace(block, a=a, b=tuple(now.get(f"b_{i}", 0.0) for i in range(m + 1)))
-
-
-def _highest(names: Iterable[str], letter: str, default: int) -> int:
-    """The highest index of the names such as a_1 that begin with a letter."""
-    split = (name.partition("_") for name in names)
-    return max((int(i) for head, _, i in split if head == letter and i.isdigit()), default=default)
+        yield replace(found, values={**found.values, **values}, **changed) if finite else None

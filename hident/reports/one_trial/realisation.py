@@ -16,7 +16,7 @@ from hident.ledger.verdicts import Verdict
 from hident.records import needed
 from hident.reports.base import Misfit
 from hident.reports.one_trial.base import OneTrialFigure, say_failed, true_curve
-from hident.reports.style import DATA, ESTIMATE, TRUTH, legend_above, subplots
+from hident.reports.style import DATA, ESTIMATE, TRUTH, label_edges, legend_above, subplots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -66,10 +66,7 @@ class Realisation(OneTrialFigure):
                 self._panel(axes, trial.of(name, labels))
                 case = ", ".join(f"{self.names.get(axis, axis)} = {label}" for axis, label in labels.items())
                 axes.set_title(f"{name}{', ' if case else ''}{case}")
-        for axes in grid[-1]:
-            axes.set_xlabel(self.x_label)
-        for axes in grid[:, 0]:
-            axes.set_ylabel(self.y_label)
+        label_edges(grid, self.x_label, self.y_label)
         legend_above(figure)
         return figure
 

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from hident.arrays import Array
+from hident.arrays import Array, Flags
 from hident.config.spec import Count, NonEmpty, component
 from hident.engine.replay import OneTrial
 from hident.engine.results import Results
@@ -174,7 +173,7 @@ def _draw_numbers(axes: Axes, search: PartitionSearch, ratio: np.ma.MaskedArray[
     axes.set_ylim(*_window(search.upper, np.any(kept, axis=0), search.best[1]))
 
 
-def _window(points: Array, kept: NDArray[np.bool_], best: float) -> tuple[float, float]:
+def _window(points: Array, kept: Flags, best: float) -> tuple[float, float]:
     """The range of the kept points (K,) of a grid and of the best one, to one point beyond on either side."""
     shown, points = np.append(points[kept], best), np.sort(points)
     first = max(int(np.searchsorted(points, shown.min())) - 1, 0)

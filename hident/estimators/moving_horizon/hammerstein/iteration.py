@@ -11,9 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hident.arrays import Array
+from hident.arrays import Array, Flags, Index
 from hident.estimators.moving_horizon.transform.horizon_least_squares import back_substituted, solve
 from hident.numerics.least_squares import lengths
 
@@ -29,8 +28,8 @@ class Iteration:
 
     theta: Array
     loss: Array
-    iterations: NDArray[np.intp]
-    converged: NDArray[np.bool_]
+    iterations: Index
+    converged: Flags
     history: Array
 
 

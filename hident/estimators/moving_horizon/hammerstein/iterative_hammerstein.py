@@ -11,6 +11,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Discriminator, Field
 
+from hident.arrays import Array
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
 from hident.estimators.convergence import settle
@@ -21,7 +22,7 @@ from hident.estimators.moving_horizon.hammerstein.stage import (
     first_stage,
 )
 from hident.estimators.moving_horizon.hammerstein.static_functions import ThreeSegmentFunction
-from hident.estimators.moving_horizon.iterative import IterativeSpec
+from hident.estimators.moving_horizon.iterative import IterativeSpec, padded
 from hident.estimators.moving_horizon.partition import require_inside
 from hident.estimators.moving_horizon.searches import StructureSearch, found_searches
 from hident.estimators.moving_horizon.transform.linear_transform import (
@@ -54,6 +55,7 @@ class IterativeHammerstein(IterativeSpec):
     [2.5, 1.5]
     """
 
+    holds = ("nonlinearity", "continuous", "response")
     share: ClassVar[float] = 0.5
     guesses: ClassVar[bool] = True
 
@@ -68,12 +70,11 @@ class IterativeHammerstein(IterativeSpec):
         size = self.nonlinearity.size
         return max(size, _GUESS.size) if self.automatic else size
 
-    def provides(self) -> frozenset[str]:
-        names = [*self.stage_names(), *(f"c_{j}" for j in range(1, self.nonlinearity.size + 1))]
-        names += [*self.error_names(1), "iterations", "converged"]
-        if isinstance(self.nonlinearity, ThreeSegment):
-            names += ["u_-1", "u_1"]
-        return frozenset({"nonlinearity", "continuous", "response"} | {f"value {name}" for name in names})
+    def names(self) -> list[str]:
+        coefficients = [f"c_{j}" for j in range(1, self.nonlinearity.size + 1)]
+        points = ["u_-1", "u_1"] if isinstance(self.nonlinearity, ThreeSegment) else []
+        ended = ["iterations", "converged"]
+        return [*self.stage_names(), *self.error_names(1), *coefficients, *ended, *points]
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (unit_static_gain(),)
@@ -131,18 +132,17 @@ class IterativeHammerstein(IterativeSpec):
         second: LinearFit | None,
         search: StructureSearch | None,
     ) -> Estimate:
-        iterations, converged = int(first.iteration.iterations[0]), bool(first.iteration.converged[0])
         block = first.block if second is None else second.block
         function = first.function
-        values = {
-            **self.stage_values(first.block, first.phi, first.horizons, second),
-            **self._errors(record, dt, first, second),
-            **{f"c_{j}": c for j, c in enumerate(function.c, start=1)},
-            "iterations": float(iterations),
-            "converged": float(converged),
-        }
-        if isinstance(function, ThreeSegmentFunction):
-            values |= {"u_-1": function.lower, "u_1": function.upper}
+        points = (function.lower, function.upper) if isinstance(function, ThreeSegmentFunction) else ()
+        values = self.named(
+            self.stage_values(first.block, first.phi, first.horizons, second),
+            self._errors(record, dt, first, second),
+            function.c,
+            first.iteration.iterations,
+            first.iteration.converged,
+            points,
+        )
         return Estimate(
             nonlinearity=function,
             continuous=block,
@@ -151,9 +151,7 @@ class IterativeHammerstein(IterativeSpec):
             details={"history": first.history(), **found_searches(first.partition, search)},
         )
 
-    def _errors(
-        self, record: Record, dt: float, first: FirstStage, second: LinearFit | None
-    ) -> dict[str, float]:
+    def _errors(self, record: Record, dt: float, first: FirstStage, second: LinearFit | None) -> Array:
         """The sandwich standard errors of the block, zero where it has no parameter.
 
         The first stage solves phi' (z - phi theta) = 0, so that its parameters vary by
@@ -174,4 +172,4 @@ class IterativeHammerstein(IterativeSpec):
         residual = record.y - responses_in(record.experiments, block, first.function(record.u), dt)
         found = standard_errors(derivative, residual)
         n = len(block.a)
-        return self.errors_by_name(found[:n], found[n : n + len(block.b) - 1], 1)
+        return padded(found[:n], found[n : n + len(block.b) - 1], self.largest_n, 1)

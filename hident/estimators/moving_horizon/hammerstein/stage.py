@@ -11,10 +11,9 @@ from functools import partial
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from hident.arrays import Array
+from hident.arrays import Array, Flags
 from hident.config.spec import Count, Spec
 from hident.errors import EstimationError
 from hident.estimators.convergence import History
@@ -88,15 +87,10 @@ class FirstStage:
 
     def history(self) -> History:
         """The parameters against the iteration."""
-        names = [f"a_{i}" for i in range(1, len(self.block.a) + 1)]
-        names += [f"b_{i}" for i in range(1, len(self.block.b))]
-        names += [f"c_{j}" for j in range(1, len(self.function.c) + 1)]
-        converged, count = bool(self.iteration.converged[0]), len(self.iteration.history)
-        return History(
-            {**dict(zip(names, self.iteration.history.T, strict=True)), "b_0": np.ones(count)},
-            converged,
-            f"{'converged' if converged else 'stopped'} after {count} iterations",
-        )
+        a, b, c = np.split(self.iteration.history, [len(self.block.a), -len(self.function.c)], axis=1)
+        coefficients = {f"c_{j}": one for j, one in enumerate(c.T, start=1)}
+        converged = bool(self.iteration.converged[0])
+        return History(a, np.insert(b, 0, 1.0, axis=1), coefficients, converged)
 
 
 def first_stage(
@@ -185,7 +179,7 @@ def _search(
     """
     low, high = float(levels.min()), float(levels.max())
 
-    def evaluated(lower: Array, upper: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def evaluated(lower: Array, upper: Array) -> tuple[Array, Flags]:
         # Long records are searched in pieces, so that memory does not grow with the number of pairs.
         pieces = min(len(lower), -(-len(levels) * len(lower) * len(upper) // _AT_ONCE))
         loss, converged = [], []

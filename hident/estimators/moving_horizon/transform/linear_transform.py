@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -164,24 +165,15 @@ def search_structure(
         If no candidate is stable.
     """
     measured = measured or Measured.directly(output, parts)
+    fitted = partial(
+        linear_block, output, held_input, dt, eta=eta, overlap=overlap, start=start, gain=gain, parts=parts
+    )
     fits: list[LinearFit | None] = []
     candidates = [(n, m, d) for d in delays for n in range(1, largest_n + 1) for m in range(n)]
     errors, refused = [], ""
     for n, m, delay in candidates:
         try:
-            fit = linear_block(
-                output,
-                held_input,
-                dt,
-                n=n,
-                m=m,
-                delay=delay,
-                eta=eta,
-                overlap=overlap,
-                start=start,
-                gain=gain,
-                parts=parts,
-            )
+            fit = fitted(n=n, m=m, delay=delay)
         except EstimationError as error_of_one:
             refused = f" (the last: {error_of_one})"
             fits.append(None)

@@ -19,14 +19,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hident.arrays import Array
+from hident.arrays import Array, Index
 from hident.numerics.parts import Parts, whole
 from hident.numerics.whole import split, whole_part
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# A number of samples this close to a whole one is that.
 _STENCIL = 6
 _SAMPLES_PER_HALF_WAVE = 4
 _LARGEST_KEPT = 400_000
@@ -187,7 +186,7 @@ class Horizons:
         """
         return _kept(_held, self, delay)
 
-    def operator(self, weights: Array, kind: NDArray[np.intp], shift: int) -> csr_array:
+    def operator(self, weights: Array, kind: Index, shift: int) -> csr_array:
         """The operator with rows ``weights`` (n + 1, kinds, width) from every start + ``shift`` on.
 
         ``kind`` (count,) tells which weights a horizon has.

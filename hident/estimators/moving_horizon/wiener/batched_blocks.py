@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hident.arrays import Array
+from hident.arrays import Array, Complex
 from hident.numerics.whole import split
 
 # Modes faster than this fraction of the sampling interval act at once.
@@ -14,7 +13,7 @@ _FASTEST = 1e-3
 _PADE = (17297280.0, 8648640.0, 1995840.0, 277200.0, 25200.0, 1512.0, 56.0, 1.0)
 
 
-def time_constants(a: Array) -> NDArray[np.complex128]:
+def time_constants(a: Array) -> Complex:
     """The negative inverse poles (J, n) of the blocks with denominators ``a`` (J, n).
 
     All real parts are positive if and only if the block is stable; none is infinite.
@@ -25,7 +24,7 @@ def time_constants(a: Array) -> NDArray[np.complex128]:
     return np.asarray(np.linalg.eigvals(companion), dtype=np.complex128)
 
 
-def _products(values: NDArray[np.complex128]) -> Array:
+def _products(values: Complex) -> Array:
     """The coefficients 1, ... (J, n + 1) of prod (1 + values_i z), by rising power of z."""
     coefficients = np.zeros((len(values), values.shape[1] + 1), dtype=complex)
     coefficients[:, 0] = 1.0
@@ -40,7 +39,7 @@ def responses(
     delay: float,
     u: Array,
     dt: float,
-    tau: NDArray[np.complex128] | None = None,
+    tau: Complex | None = None,
 ) -> Array:
     """The responses (N, J) of J continuous blocks to one held input ``u`` (N,), exact at the samples.
 

@@ -18,9 +18,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hident.arrays import Array
+from hident.arrays import Array, Complex, Flags, Index
 from hident.estimators.moving_horizon.transform.horizon_least_squares import solve
 from hident.estimators.moving_horizon.transform.time_weighted import Horizons, Knots
 from hident.estimators.moving_horizon.wiener.batched_blocks import responses, time_constants
@@ -29,8 +28,6 @@ from hident.numerics.parts import in_each
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +79,7 @@ class Wiener:
         theta = solve(np.hstack((-self.outputs[:, 1:], self.inputs)), self.outputs[:, 0])
         return self.internal(theta[None])[:, 0] if np.all(np.isfinite(theta)) else self.y
 
-    def internal(self, theta: Array, tau: NDArray[np.complex128] | None = None) -> Array:
+    def internal(self, theta: Array, tau: Complex | None = None) -> Array:
         """x_lin (N, J) of (28a) for parameters (J, P), from rest, poles reflected into the left half plane.
 
         ``tau`` (J, n) are the blocks' :func:`time_constants`, if they are known.
@@ -224,7 +221,7 @@ class Iterates:
 
     path: Array
     phi: Array
-    iterations: NDArray[np.intp]
+    iterations: Index
     converged: Flags
     admissible: Flags
 

@@ -16,7 +16,7 @@ from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
 from hident.estimators.convergence import settle
-from hident.estimators.moving_horizon.iterative import IterativeSpec
+from hident.estimators.moving_horizon.iterative import IterativeSpec, padded
 from hident.estimators.moving_horizon.partition import require_inside
 from hident.estimators.moving_horizon.searches import StructureSearch, found_searches
 from hident.estimators.moving_horizon.transform.linear_transform import (
@@ -88,6 +88,7 @@ class IterativeWiener(IterativeSpec):
     [2.5, 1.5]
     """
 
+    holds = ("nonlinearity", "continuous", "response")
     share: ClassVar[float] = 1.0
 
     nonlinearity: Annotated[FourSegmentSpec | PolynomialSpec, Discriminator("kind")]
@@ -104,11 +105,10 @@ class IterativeWiener(IterativeSpec):
     def function_parameters(self) -> int:
         return len(self.nonlinearity.coefficients()) + 1
 
-    def provides(self) -> frozenset[str]:
-        names = [*self.stage_names(), *self.nonlinearity.names(), "iterations", "converged"]
-        if isinstance(self.nonlinearity, FourSegmentSpec):
-            names += self.error_names(0)
-        return frozenset({"nonlinearity", "continuous", "response"} | {f"value {name}" for name in names})
+    def names(self) -> list[str]:
+        errors = self.error_names(0) if isinstance(self.nonlinearity, FourSegmentSpec) else []
+        ended = ["iterations", "converged"]
+        return [*self.stage_names(), *self.nonlinearity.names(), *errors, *ended]
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         # The values are those of the iteration, which holds the inverse's slope e_1.
@@ -171,13 +171,13 @@ class IterativeWiener(IterativeSpec):
         v = responses_in(record.experiments, unit, record.u, dt)
         clusters = smoothed(v, record.y, self.smooth or _CLUSTERS)
         nonlinearity = first.nonlinearity if self.smooth is None else _through(clusters)
-        values = {
-            **self.stage_values(first.block, first.phi, first.wiener.horizons, second),
-            **first.values,
-            **self._errors(first, second),
-            "iterations": float(first.iterations),
-            "converged": float(first.history.converged),
-        }
+        values = self.named(
+            self.stage_values(first.block, first.phi, first.wiener.horizons, second),
+            first.parameters,
+            self._errors(first, second),
+            first.iterations,
+            first.history.converged,
+        )
         details = {
             "history": first.history,
             "internal_variable": np.array([v, record.y]),
@@ -192,14 +192,14 @@ class IterativeWiener(IterativeSpec):
             details=details,
         )
 
-    def _errors(self, first: WienerStage, second: LinearFit | None) -> dict[str, float]:
-        """The standard errors by name, zero where the block has no parameter; none for a polynomial."""
+    def _errors(self, first: WienerStage, second: LinearFit | None) -> Array:
+        """The standard errors of the block, zero where it has no parameter; none for a polynomial."""
         if not isinstance(self.nonlinearity, FourSegmentSpec):
-            return {}
-        e = np.array([first.values[name] for name in self.nonlinearity.coefficients()])
-        points = first.values["y_-1"], first.values["y_1"]
-        found = wiener_errors(first.wiener, first.phi, first.block, e, points, self.weight, second)
-        return self.errors_by_name(*found, 0)
+            return np.empty(0)
+        *e, lower, upper = first.parameters
+        points = lower, upper
+        found = wiener_errors(first.wiener, first.phi, first.block, np.array(e), points, self.weight, second)
+        return padded(*found, self.largest_n)
 
 
 def _through(points: Array) -> PiecewiseLinear:

@@ -5,7 +5,7 @@ Chen, Hwang and Chang 2009, sections 4.2 and 5.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from hident.arrays import Array, Characteristic
+from hident.arrays import Array, Characteristic, Flags
 from hident.config.spec import Count, Spec
 from hident.errors import EstimationError
 from hident.estimators.convergence import History
@@ -23,7 +23,6 @@ from hident.estimators.moving_horizon.transform.linear_transform import block_of
 from hident.estimators.moving_horizon.wiener.batched_blocks import time_constants
 from hident.estimators.moving_horizon.wiener.four_segment import FourSegment, forward, inverse
 from hident.estimators.moving_horizon.wiener.iteration import (
-    Flags,
     FourSegments,
     Internal,
     Iterates,
@@ -89,23 +88,19 @@ NonlinearitySpec = FourSegmentSpec | PolynomialSpec
 class WienerStage:
     """What the first stage found.
 
-    ``nonlinearity`` is y(v) with x = b_0 v, ``values`` are its parameters by name, ``x`` (N,) is the internal
-    variable (28b), ``phi`` (K, P) the regressors.
+    ``nonlinearity`` is y(v) with x = b_0 v, ``parameters`` are its own as the spec names them, ``x`` (N,) is
+    the internal variable (28b), ``phi`` (K, P) the regressors; x was updated ``iterations`` times.
     """
 
     wiener: Wiener
     block: ContinuousTransferFunction
     nonlinearity: Characteristic
-    values: Mapping[str, float]
+    parameters: tuple[float, ...]
     x: Array
     phi: Array
+    iterations: int
     history: History
     partition: PartitionSearch | None = None
-
-    @property
-    def iterations(self) -> int:
-        """How many times the internal variable was updated."""
-        return len(self.history.values["b_0"]) - 1
 
 
 def first_stage(wiener: Wiener, spec: NonlinearitySpec, rule: Rule, start: float) -> WienerStage:
@@ -131,62 +126,43 @@ def _four_segment_stage(
 ) -> WienerStage:
     run = _run(wiener, lambda x: FourSegments.of_points(wiener, np.array(points)[:, None], x), rule)
     lower, upper = points
-    a, b, c = wiener.split(run.path)
+    a, b, c = wiener.split(run.path[:, 0])
     e = 1.0 - c
     block = block_of(a[-1], b[-1], wiener.delay)
-    named = dict(zip(spec.coefficients(), e[-1].tolist(), strict=True))
+    slopes = tuple(e[-1].tolist())
     return WienerStage(
         wiener,
         block,
-        FourSegment(tuple(e[-1].tolist()), lower, upper, block.b[0]),
-        named | {"y_-1": lower, "y_1": upper},
+        FourSegment(slopes, lower, upper, block.b[0]),
+        (*slopes, lower, upper),
         inverse(wiener.y, e[-1], lower, upper),
-        run.phi,
-        run.history(a, b, dict(zip(spec.coefficients(), e.T, strict=True))),
+        run.phi[0],
+        int(run.iterations[0]),
+        History(a, b, dict(zip(spec.coefficients(), e.T, strict=True)), bool(run.converged[0])),
     )
 
 
 def _polynomial_stage(wiener: Wiener, spec: PolynomialSpec, rule: Rule) -> WienerStage:
     run = _run(wiener, lambda x: Powers(wiener, spec.degree, x[:, None]), rule)
-    a, b, c = wiener.split(run.path)
+    a, b, c = wiener.split(run.path[:, 0])
     block = block_of(a[-1], b[-1], wiener.delay)
     # In v = x/b_0, the polynomial (10) with c_1 = 1.
     scaled = np.concatenate(([0.0, 1.0], c[-1])) * block.b[0] ** np.arange(spec.degree + 1)
-    x_lin = wiener.internal(run.path[-1:])
+    x_lin = wiener.internal(run.theta)
     return WienerStage(
         wiener,
         block,
         Polynomial(coefficients=tuple(scaled.tolist())),
-        dict(zip(spec.coefficients(), c[-1].tolist(), strict=True)),
+        tuple(c[-1].tolist()),
         Powers(wiener, spec.degree, x_lin).updated(x_lin, c[-1:], 0.0).x[:, 0],
-        run.phi,
-        run.history(a, b, dict(zip(spec.coefficients(), c.T, strict=True))),
+        run.phi[0],
+        int(run.iterations[0]),
+        History(a, b, dict(zip(spec.coefficients(), c.T, strict=True)), bool(run.converged[0])),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Run:
-    """One iteration: theta against the iteration (S, P), the last regressors (K, P), and how it ended."""
-
-    path: Array
-    phi: Array
-    converged: bool
-    restart: str
-
-    def history(self, a: Array, b: Array, others: Mapping[str, Array]) -> History:
-        """The parameters a (S, n), b (S, m + 1) and the ``others`` (S,) against the iteration."""
-        named = {f"a_{i}": one for i, one in enumerate(a.T, start=1)}
-        named |= {f"b_{i}": one for i, one in enumerate(b.T)}
-        updates = len(self.path) - 1
-        ended = (
-            f"converged in {updates} iterations" if self.converged else f"stopped after {updates} iterations"
-        )
-        restarted = f"restarted from the linear model's output, since from y it {self.restart}; "
-        return History({**named, **others}, self.converged, (restarted if self.restart else "") + ended)
-
-
-def _run(wiener: Wiener, begin: Callable[[Array], Internal], rule: Rule) -> _Run:
-    """The iteration from x = y or, if that ends badly or wanders, from the linear model's output.
+def _run(wiener: Wiener, begin: Callable[[Array], Internal], rule: Rule) -> Iterates:
+    """The one iteration from x = y or, if that ends badly or wanders, from the linear model's output.
 
     Raises
     ------
@@ -196,7 +172,7 @@ def _run(wiener: Wiener, begin: Callable[[Array], Internal], rule: Rule) -> _Run
     found = iterate(wiener, begin(wiener.y), rule)
     trouble = _trouble(wiener, found)
     if found.converged[0] and not trouble:
-        return _ended(found, "")
+        return found
     again = iterate(wiener, begin(wiener.linear_output()), rule)
     wrong = _trouble(wiener, again)
     if wrong and trouble:
@@ -204,14 +180,8 @@ def _run(wiener: Wiener, begin: Callable[[Array], Internal], rule: Rule) -> _Run
             f"the first stage's iteration {wrong}, also from the linear model's output: "
             "try longer horizons, another structure or other partition points"
         )
-    if wrong or not (trouble or again.converged[0]):
-        # Both wander: the first counts.
-        return _ended(found, "")
-    return _ended(again, trouble or "did not converge")
-
-
-def _ended(found: Iterates, restart: str) -> _Run:
-    return _Run(found.path[:, 0], found.phi[0], bool(found.converged[0]), restart)
+    # If both wander, the first counts.
+    return found if wrong or not (trouble or again.converged[0]) else again
 
 
 def _trouble(wiener: Wiener, found: Iterates) -> str:
