@@ -137,13 +137,12 @@ def _is_result(folder: Path) -> bool:
 def _files(folder: Path) -> set[str]:
     """The files that count, as paths relative to the folder."""
     paths = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
-    return {
+    found = {
         path.as_posix()
         for path in paths
-        if path.suffix != ".tmp"
-        and path.as_posix() != BENCHMARKS
-        and not any(part.startswith(".") for part in path.parts)
+        if path.suffix != ".tmp" and not any(part.startswith(".") for part in path.parts)
     }
+    return found - {BENCHMARKS}
 
 
 def _lines(ours: Path, reference: Path, names: Set[str], rtol: float) -> list[str]:

@@ -1,4 +1,4 @@
-"""All figures of a run of the benchmarks in one table, results/bench.md, held against those of the last run."""
+"""All figures of a run of the benchmarks in one table, results/bench.md, beside those of the last run."""
 
 from __future__ import annotations
 

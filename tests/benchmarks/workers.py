@@ -35,7 +35,9 @@ def main() -> None:
             ratios = taken.ratios("1 process", way)
             if way != "1 process":
                 figure(f"{config}, {trials} trials: {way} over 1", ratios, "1.7" if "proc" in way else "")
-            rows.append([config, str(trials), way, f"{seconds:.1f}", f"{trials / seconds:.0f}", f"{ratios[0]:.2f}"])
+            rows.append(
+                [config, str(trials), way, f"{seconds:.1f}", f"{trials / seconds:.0f}", f"{ratios[0]:.2f}"]
+            )
     show(
         "hident run from an empty store, start-up and tables included",
         ("configuration", "trials", "by", "seconds", "trials/s", "speed-up"),
