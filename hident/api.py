@@ -310,6 +310,7 @@ def run(
     seed: int | None = None,
     store: str | Path | TrialStore | None = None,
     executor: Executor | int | None = None,
+    trial_timeout: float | None = None,
     overrides: Mapping[str, Any] = _NONE,
 ) -> Results:
     """Run an experiment, and return all its trials; nothing is written but the store, if one is named.
@@ -325,6 +326,10 @@ def run(
         Where trials run: a number of worker processes, or any ``concurrent.futures.Executor``. By default
         here. The numbers do not depend on it. A script that starts processes needs the usual
         ``if __name__ == "__main__":``.
+    trial_timeout : float, optional
+        Seconds after which the simulation, an estimate or a metric of a trial is ended: the trial counts as
+        failed, and is not stored. A single call into a library that does not return ends its worker process;
+        without workers, it is waited for. By default there is no limit.
 
     Raises
     ------
@@ -361,6 +366,7 @@ def run(
     (10, 5)
     """
     plan = validate(experiment, trials=trials, seed=seed, overrides=overrides)
+    plan = plan.changed(trial_timeout=trial_timeout)
     if said := arithmetic.shortfall(arithmetic.in_use()):
         warnings.warn(said, stacklevel=2)
     if store is not None or executor is not None:

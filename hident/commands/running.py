@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import sys
-import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -23,7 +22,7 @@ from hident.engine.runner import CrashReport, run
 from hident.engine.store import Store, TrialStore
 from hident.errors import ConfigError, Exit, NothingToCompare
 from hident.progress import chosen
-from hident.run_folder import RunFolder
+from hident.run_folder import RunFolder, phase
 
 if TYPE_CHECKING:
     from hident.engine.results import Results
@@ -90,11 +89,12 @@ class Bench:
             with Store(self.store).writing(self.wait) as writer:
                 # Asked again, as another run may have held the store until now.
                 if outputs.state() != "up to date":
-                    start = time.perf_counter()
-                    check_records(plan)
-                    results = self._trials(plan, writer, plan.name, keep_going=keep_going)
-                    wall = round(time.perf_counter() - start, 3)
-                    undrawn = outputs.write(results, {"workers": self.workers, "wall_seconds": wall})
+                    seconds: dict[str, float] = {}
+                    with phase(seconds, "records checked"):
+                        check_records(plan)
+                    with phase(seconds, "trials"):
+                        results = self._trials(plan, writer, plan.name, keep_going=keep_going)
+                    undrawn = outputs.write(results, {"workers": self.workers}, seconds)
                     note = f"{plan.name}: wrote {outputs.folder}"
         if not self.quiet:
             print(note, file=sys.stderr)
@@ -113,14 +113,21 @@ class Bench:
         return Sensitivity.measured(values, map(repeated, range(1, perturbations + 1)))
 
     def _trials(self, plan: Plan, store: TrialStore, name: str, *, keep_going: bool = False) -> Results:
-        return run(
+        results = run(
             plan,
             store=store,
             executor=self.executor,
             workers=self.workers,
             keep_going=keep_going,
-            progress=chosen(name, quiet=self.quiet),
+            progress=chosen(name, len(plan.units), quiet=self.quiet),
         )
+        if count := results.timed_out:
+            print(
+                f"warning: {name}: {count} trial{'s' * (count != 1)} took longer than the trial timeout of "
+                f"{plan.trial_timeout:g} s: counted as failed, not stored, and computed by the next run",
+                file=sys.stderr,
+            )
+        return results
 
 
 @contextmanager

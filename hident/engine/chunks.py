@@ -6,9 +6,11 @@ import itertools
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from hident.engine.clock import Limit
 from hident.engine.trial import Data, Job, Outcome, run_trials
 from hident.engine.unit_trials import UnitTrials
 
@@ -59,6 +61,24 @@ class Chunk:
         }
         return cls(case, [(case.units[i], missing) for i, missing in places], wanted)
 
+    def fields(self) -> dict[str, Any]:
+        """What it is of: the labels that all its units have, the estimators, and its trials."""
+        labels = [unit.unit.labels.items() for unit, _ in self.tasks]
+        return {
+            "case": dict(label for label in labels[0] if all(label in others for others in labels)),
+            "estimators": [*dict.fromkeys(unit.unit.name for unit, _ in self.tasks)],
+            "trials": len(self.wanted),
+            "first": min(self.wanted),
+            "last": max(self.wanted),
+        }
+
+    def described(self) -> str:
+        """The same in words."""
+        of = self.fields()
+        trials = f"trials {of['first']} to {of['last']}" if of["trials"] > 1 else f"trial {of['first']}"
+        at = ", ".join(f"{axis} {label}" for axis, label in of["case"].items())
+        return f"{trials} of {', '.join(map(repr, of['estimators']))}" + (f" at {at}" if at else "")
+
     def jobs(self) -> list[Job]:
         """The tasks as a trial needs them."""
         return [
@@ -76,8 +96,13 @@ def all_chunks(units: Iterable[UnitTrials]) -> Iterator[Chunk]:
 
 
 def timed(
-    data: Data, jobs: Sequence[Job], wanted: dict[int, list[int]], seed: int, perturbation: int
+    data: Data,
+    jobs: Sequence[Job],
+    wanted: dict[int, list[int]],
+    seed: int,
+    perturbation: int,
+    limit: Limit | None = None,
 ) -> tuple[list[Outcome], float]:
     """What the trials give, and the seconds that they took."""
     start = time.perf_counter()
-    return run_trials(data, jobs, wanted, seed, perturbation), time.perf_counter() - start
+    return run_trials(data, jobs, wanted, seed, perturbation, limit), time.perf_counter() - start

@@ -11,8 +11,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from hident.engine.chunks import Chunk, all_chunks, timed
+from hident.engine.clock import Limit
 from hident.engine.executors import SerialExecutor
 from hident.engine.experiment import Plan, Unit
+from hident.engine.log import tell, warn
 from hident.engine.results import Results
 from hident.engine.store import MemoryStore, Store, Trial, TrialStore
 from hident.engine.trial import Outcome
@@ -28,6 +30,12 @@ class Progress(Protocol):
     def start(self, total: int, stored: int) -> None:
         """The run wants ``total`` trials of units, of which ``stored`` are there already."""
 
+    def begins(self, work: str) -> None:
+        """Some trials, which ``work`` names, are given to a worker; it may begin them later."""
+
+    def ends(self, work: str) -> None:
+        """They came back."""
+
     def advance(self, trials: int) -> None:
         """This many more are stored."""
 
@@ -42,6 +50,10 @@ class Silent:
     """A run that tells nothing."""
 
     def start(self, total: int, stored: int) -> None: ...
+
+    def begins(self, work: str) -> None: ...
+
+    def ends(self, work: str) -> None: ...
 
     def advance(self, trials: int) -> None: ...
 
@@ -115,23 +127,41 @@ class _Run:
         self._chunks = all_chunks(self._units)
         self._pending: dict[Future[tuple[list[Outcome], float]], Chunk] = {}
         self._crashes: list[Crash] = []
+        self._limit = Limit(plan.trial_timeout) if plan.trial_timeout else None
+        self._late = 0
 
     def results(self) -> Results:
         """Read what is stored, compute the rest."""
         for unit in self._units:
             unit.read(self._store)
-        self._progress.start(
-            len(self._units) * self._plan.trials, sum(unit.complete() for unit in self._units)
+        with self._told():
+            try:
+                self._compute()
+            except BrokenExecutor:
+                raise WorkerEnded(kept=self._kept) from None
+            if self._crashes:
+                raise CrashReport(self._crashes, kept=self._kept)
+        return Results(
+            self._plan, tuple(series for unit in self._units for series in unit.series()), self._late
         )
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Tell how the run begins and how it ends."""
+        total, stored = len(self._units) * self._plan.trials, sum(unit.complete() for unit in self._units)
+        of = {"config": self._plan.name, "perturbation": self._plan.perturbation}
+        self._progress.start(total, stored)
+        said = f"{self._plan.name}: {total} trials, {stored} of them stored"
+        tell("start", said, **of, total=total, stored=stored, workers=self._workers)
         try:
-            self._compute()
-        except BrokenExecutor:
-            raise WorkerEnded(kept=self._kept) from None
+            yield
+        except BaseException as error:
+            said = f"{self._plan.name}: ended by {type(error).__name__}: {error}"
+            warn("end", said, **of, outcome=type(error).__name__)
+            raise
         finally:
             self._progress.finish()
-        if self._crashes:
-            raise CrashReport(self._crashes, kept=self._kept)
-        return Results(self._plan, tuple(series for unit in self._units for series in unit.series()))
+        tell("end", f"{self._plan.name}: all {total} trials are there", **of, outcome="finished")
 
     def _compute(self) -> None:
         """Go on until nothing is missing, or a crash or Ctrl-C ends it."""
@@ -153,7 +183,8 @@ class _Run:
             chunk = next(self._chunks, None)
             if chunk is None:
                 return
-            of = self._plan.seed, self._plan.perturbation
+            of = self._plan.seed, self._plan.perturbation, self._limit
+            self._progress.begins(chunk.described())
             future = self._executor.submit(timed, chunk.case.data, chunk.jobs(), chunk.wanted, *of)
             self._pending[future] = chunk
 
@@ -165,6 +196,9 @@ class _Run:
             chunk = self._pending.pop(future)
             chunk.case.seconds = seconds / len(chunk.wanted)
             self._keep(chunk, outcomes)
+            self._progress.ends(chunk.described())
+            said = f"{self._plan.name}: {chunk.described()}: {seconds:.3f} s"
+            tell("chunk", said, config=self._plan.name, **chunk.fields(), seconds=round(seconds, 6))
 
     def _stop(self) -> None:
         """Give up what no worker has begun, and keep what is in flight."""
@@ -184,18 +218,30 @@ class _Run:
             crash = None
             for name, score in zip(names, outcome.scores, strict=True):
                 if score.crash:
-                    crash = crash or Crash(task.unit, outcome.trial, score.failure, score.crash)
+                    if crash is None:
+                        crash = Crash(task.unit, outcome.trial, score.failure, score.crash)
+                        self._fault("crash", crash.unit, crash.trial, crash.error)
                     continue
                 trial = Trial(outcome.trial, score.values, score.failure)
-                described[task.keys[name]] = _described(self._plan, task.unit, name)
-                rows.append((task.keys[name], trial))
                 task.put(name, trial)
+                if not score.late:
+                    described[task.keys[name]] = _described(self._plan, task.unit, name)
+                    rows.append((task.keys[name], trial))
+            if late := [score.failure for score in outcome.scores if score.late]:
+                self._late += 1
+                self._fault("timed out", task.unit, outcome.trial, late[0])
             if crash:
                 self._crashes.append(crash)
             else:
                 finished += 1
         self._store.add(described, rows)
         self._progress.advance(finished)
+
+    def _fault(self, event: str, unit: Unit, trial: int, reason: str) -> None:
+        """Tell the log what went wrong in a trial."""
+        said = f"{self._plan.name}: trial {trial} of {unit.described()}: {reason}"
+        of = {"config": self._plan.name, "case": unit.labels, "estimator": unit.name, "trial": trial}
+        warn(event, said, **of, reason=reason)
 
 
 def _described(plan: Plan, unit: Unit, metric: str) -> dict[str, Any]:

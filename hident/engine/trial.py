@@ -16,6 +16,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, Spec, canonical
+from hident.engine.clock import Clock, Limit, TookTooLong
 from hident.errors import EstimationError, TrialFailed
 from hident.estimators.base import Batched, EstimatorSpec, is_batched
 from hident.metrics.base import MetricSpec
@@ -99,13 +100,14 @@ class Job:
 class Score:
     """What one metric gave: a number for each of its labels, nan throughout if it failed.
 
-    ``failure`` then says why. Of an error that is not a result, ``values`` is empty, ``failure`` is the
-    message and ``crash`` the traceback.
+    ``failure`` then says why, and ``late`` whether it was the clock. Of an error that is not a result,
+    ``values`` is empty, ``failure`` is the message and ``crash`` the traceback.
     """
 
     values: Array
     failure: str = ""
     crash: str = ""
+    late: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,27 +217,33 @@ def estimate(data: Data, job: Job, record: Record, seed: int, trial: int) -> Est
 
 
 def run_trials(
-    data: Data, jobs: Sequence[Job], wanted: Mapping[int, Sequence[int]], seed: int, perturbation: int = 0
+    data: Data,
+    jobs: Sequence[Job],
+    wanted: Mapping[int, Sequence[int]],
+    seed: int,
+    perturbation: int = 0,
+    limit: Limit | None = None,
 ) -> list[Outcome]:
     """Run the jobs that each trial wants: ``wanted`` maps trials to indices of jobs.
 
     A failure or a crash does not end the others, so that what was computed can be kept. The numbers do not
-    depend on which trials run together.
+    depend on which trials run together. With a limit, each record, estimate and score of a trial is ended
+    that takes longer.
     """
     scores: dict[tuple[int, int], tuple[Score, ...]] = {}
-    with np.errstate(all="ignore"):
-        made = _records(data, seed, [*wanted], perturbation)
+    with np.errstate(all="ignore"), Clock(limit) as clock:
+        made = _records(data, seed, [*wanted], perturbation, clock)
         records = {trial: record for trial, record in made.items() if isinstance(record, Record)}
         failed = {trial: error for trial, error in made.items() if isinstance(error, BaseException)}
         for index, job in enumerate(jobs):
             wanting = [trial for trial, indices in wanted.items() if index in indices]
             found = _estimates(
-                data, job, {trial: records[trial] for trial in wanting if trial in records}, seed
+                data, job, {trial: records[trial] for trial in wanting if trial in records}, seed, clock
             )
             for trial in wanting:
                 one = found[trial] if trial in found else failed[trial]
                 scores[trial, index] = tuple(
-                    _score(metric, one, records[trial])
+                    _score(metric, one, records[trial], clock)
                     if isinstance(one, Estimate)
                     else _scored_as(one, metric)
                     for metric in job.metrics
@@ -245,10 +253,10 @@ def run_trials(
     ]
 
 
-def _attempt(make: Callable[[], T]) -> T | BaseException:
+def _attempt(make: Callable[[], T], clock: Clock) -> T | BaseException:
     """What is made, or what was raised instead."""
     try:
-        return make()
+        return clock.limited(make)
     except KeyboardInterrupt:
         raise
     # Whatever a component raises, SystemExit and GeneratorExit too, must not end the run.
@@ -257,11 +265,11 @@ def _attempt(make: Callable[[], T]) -> T | BaseException:
 
 
 def _records(
-    data: Data, seed: int, trials: Sequence[int], perturbation: int
+    data: Data, seed: int, trials: Sequence[int], perturbation: int, clock: Clock
 ) -> dict[int, Record | BaseException]:
     """The records of the trials, or what was raised; where the input is fixed, they are simulated once."""
     once = cache(lambda: _simulated(data, seed, 0)) if data.streams.is_fixed("input") else None
-    noises = _attempt(lambda: data.streams.generators("noise", seed, data.key, trials))
+    noises = _attempt(lambda: data.streams.generators("noise", seed, data.key, trials), clock)
 
     def record(place: int, trial: int) -> Record:
         simulated = once() if once else _simulated(data, seed, trial)
@@ -272,27 +280,32 @@ def _records(
             noise = noises[place]
         return _measured(data, simulated, noise, seed, trial, perturbation)
 
-    return {trial: _attempt(partial(record, place, trial)) for place, trial in enumerate(trials)}
+    return {trial: _attempt(partial(record, place, trial), clock) for place, trial in enumerate(trials)}
 
 
 def _estimates(
-    data: Data, job: Job, records: Mapping[int, Record], seed: int
+    data: Data, job: Job, records: Mapping[int, Record], seed: int, clock: Clock
 ) -> dict[int, Estimate | BaseException]:
     """The estimates from the records, or what was raised."""
     alone = partial(estimate, data, job, seed=seed)
 
     def apart(trials: Iterable[int]) -> dict[int, Estimate | BaseException]:
-        return {trial: _attempt(partial(alone, record=records[trial], trial=trial)) for trial in trials}
+        return {
+            trial: _attempt(partial(alone, record=records[trial], trial=trial), clock) for trial in trials
+        }
 
     if not (is_batched(job.estimator) and records):
         return apart(records)
-    together = _attempt(partial(_together, job.estimator, records))
+    together = _attempt(partial(_together, job.estimator, records), clock)
     if not isinstance(together, BaseException):
         wrong = _otherwise(together, apart({_CHECKED} & together.keys() if len(together) > 1 else ()))
         return dict.fromkeys(records, wrong) if wrong else {**together}
+    late = isinstance(together, TookTooLong)
+    if late and len(records) == 1:
+        return dict.fromkeys(records, together)
     found = apart(records)
-    # Where no record by itself explains the error, it is that of fit_many.
-    own = all(isinstance(one, Estimate) for one in found.values())
+    # Where no record by itself explains the error, it is that of fit_many; but the clock is for one trial.
+    own = not late and all(isinstance(one, Estimate) for one in found.values())
     return dict.fromkeys(records, together) if own else found
 
 
@@ -316,6 +329,8 @@ def _otherwise(
 ) -> ValueError | None:
     """What is wrong where ``fit_many`` gives other values of a record than ``fit``."""
     for trial, by_itself in apart.items():
+        if isinstance(by_itself, TookTooLong):
+            continue
         one, other = (
             {name: repr(float(value)) for name, value in found.values.items()}
             if isinstance(found, Estimate)
@@ -330,9 +345,9 @@ def _otherwise(
     return None
 
 
-def _score(metric: MetricSpec, found: Estimate, record: Record) -> Score:
+def _score(metric: MetricSpec, found: Estimate, record: Record, clock: Clock) -> Score:
     try:
-        return Score(_numbers(metric, found, record))
+        return Score(clock.limited(partial(_numbers, metric, found, record)))
     except KeyboardInterrupt:
         raise
     except BaseException as error:
@@ -350,7 +365,8 @@ def _scored_as(error: BaseException, metric: MetricSpec, *, of_metric: bool = Fa
     """The score where an error took the place of the numbers."""
     if isinstance(error, FAILURES):
         prefix = OF_METRIC if of_metric else ""
-        return Score(np.full(len(metric.labels("")), np.nan), prefix + reason(error))
+        nothing, late = np.full(len(metric.labels("")), np.nan), isinstance(error, TookTooLong)
+        return Score(nothing, prefix + reason(error), late=late)
     said = f"{type(error).__name__}: {_text(error)}"
     return Score(np.empty(0), said, _encodable("".join(traceback.format_exception(error))))
 

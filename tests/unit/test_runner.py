@@ -42,19 +42,26 @@ class Told:
     total: int = 0
     stored: int = 0
     done: int = 0
-    ends: list[str] = field(default_factory=list)
+    works: list[str] = field(default_factory=list)
+    ended: list[str] = field(default_factory=list)
 
     def start(self, total: int, stored: int) -> None:
         self.total, self.stored = total, stored
+
+    def begins(self, work: str) -> None:
+        self.works.append(work)
+
+    def ends(self, work: str) -> None:
+        self.works.remove(work)
 
     def advance(self, trials: int) -> None:
         self.done += trials
 
     def stopping(self) -> None:
-        self.ends.append("stopping")
+        self.ended.append("stopping")
 
     def finish(self) -> None:
-        self.ends.append("finished")
+        self.ended.append("finished")
 
 
 def _plan(lab: Lab, **changes: Any) -> Plan:
@@ -94,7 +101,7 @@ _REAL: dict[str, Any] = {
 def test_same_bytes_by_one_worker_two_workers_threads_and_any_order(lab: Lab) -> None:
     plan = _plan(lab, **_REAL)
     serial, told = _run(lab, plan)
-    assert (told.total, told.stored, told.done, told.ends) == (24, 0, 24, ["finished"])
+    assert (told.total, told.stored, told.done, told.ended) == (24, 0, 24, ["finished"])
     expected = _bytes(lab, plan)
     assert [len(trials) for trials in expected.values()] == [6] * 4
 
@@ -193,7 +200,7 @@ def test_interrupt_stores_what_is_in_flight(lab: Lab) -> None:
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, before)
-    assert told.ends == ["stopping", "finished"]
+    assert told.ended == ["stopping", "finished"]
     assert Store(lab.folder / "s").count() == executor.calls * 2 == told.done
 
 

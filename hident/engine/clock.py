@@ -1,0 +1,158 @@
+"""The time limit of one trial: what takes longer is ended where it computes.
+
+A thread of its own watches the clock. When the time is up, it raises an exception inside the thread that
+computes (``PyThreadState_SetAsyncExc``), whichever of its process that is. Python raises it between two
+instructions: a loop or a chain of calls to numpy ends at once, a single call into a library when it returns.
+A worker process in which such a call does not return ends itself after a grace period, and its executor deals
+with its trials as with those of any lost worker; the process of the run cannot do so, and waits.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import NoReturn, Self, TypeVar
+
+from hident.errors import Exit, TrialFailed
+
+T = TypeVar("T")
+
+GRACE_SECONDS = 10.0
+"""How much longer a worker process waits for a call that does not return."""
+_AGAIN_SECONDS = 1.0
+"""How long after the exception it is raised again: code may have swallowed it."""
+
+
+def _here() -> tuple[str, int]:
+    return platform.node(), os.getpid()
+
+
+@dataclass(frozen=True)
+class Limit:
+    """How many seconds a trial may take; ``home`` is the process of the run, which does not end itself."""
+
+    seconds: float
+    home: tuple[str, int] = field(default_factory=_here)
+
+
+class TookTooLong(TrialFailed):
+    """The trial was ended by the clock. That is no property of the trial: another machine may finish it."""
+
+    def __init__(self, limit: Limit) -> None:
+        super().__init__(f"took longer than the trial timeout of {limit.seconds:g} s")
+
+
+class _Alarm(BaseException):
+    """What ends the work: no Exception, which an estimator may catch."""
+
+
+class _Work:
+    """One call under the clock."""
+
+    def __init__(self, seconds: float) -> None:
+        self.began = time.monotonic()
+        self.due = self.began + seconds
+        self.alarmed = False
+        self._thread = ctypes.c_ulong(threading.get_ident())
+        # Held by whoever may raise the alarm, at last by the computing thread for ever. Reentrant: where the
+        # alarm comes just after that one took it, it takes it again.
+        self._turn = threading.RLock()
+
+    def alarm(self) -> bool:
+        """Raise the alarm in the computing thread; False if the work has ended."""
+        if not self._turn.acquire(blocking=False):
+            return False
+        try:
+            self.alarmed = True
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(self._thread, ctypes.py_object(_Alarm))
+        finally:
+            self._turn.release()
+        return True
+
+    def end(self) -> None:
+        """Let no alarm come any more: called by the computing thread, until it returns."""
+        while True:
+            try:
+                self._turn.acquire()
+                if self.alarmed:
+                    # One that was raised and has not arrived yet.
+                    ctypes.pythonapi.PyThreadState_SetAsyncExc(self._thread, None)
+            except _Alarm:
+                continue
+            return
+
+
+class Clock:
+    """Watches over calls of one thread, one after the other, each with the same limit, if there is one."""
+
+    def __init__(self, limit: Limit | None) -> None:
+        self._limit = limit
+        self._work: _Work | None = None
+        self._stopped = threading.Event()
+
+    def __enter__(self) -> Self:
+        if self._limit is not None:
+            threading.Thread(
+                target=self._watch, args=(self._limit,), name="trial timeout", daemon=True
+            ).start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stopped.set()
+
+    def limited(self, make: Callable[[], T]) -> T:
+        """What is made; TookTooLong if that takes longer than the limit."""
+        if self._limit is None:
+            return make()
+        work = self._work = _Work(self._limit.seconds)
+        try:
+            try:
+                made = make()
+            finally:
+                work.end()
+        except BaseException as error:
+            # Again, as the alarm may have come on the way into it.
+            work.end()
+            self._work = None
+            if work.alarmed and not isinstance(error, KeyboardInterrupt):
+                raise TookTooLong(self._limit) from None
+            raise
+        self._work = None
+        if work.alarmed:
+            # The code swallowed it, and what it made of that is not its answer.
+            raise TookTooLong(self._limit)
+        return made
+
+    def _watch(self, limit: Limit) -> None:
+        # No work that begins in a pause of this length is due before it is looked at.
+        longest = min(limit.seconds, threading.TIMEOUT_MAX)
+        pause = longest
+        while not self._stopped.wait(pause):
+            work, now = self._work, time.monotonic()
+            pause = longest
+            if work is None:
+                continue
+            if now < work.due:
+                pause = min(work.due - now, longest)
+            elif work.alarm():
+                if limit.home != _here() and now > work.began + limit.seconds + GRACE_SECONDS:
+                    _end_process(limit)
+                work.due = now + _AGAIN_SECONDS
+                pause = min(_AGAIN_SECONDS, longest)
+
+
+def _end_process(limit: Limit) -> NoReturn:
+    said = (
+        f"hident: a call in a trial did not return, {GRACE_SECONDS:g} s after the trial timeout of "
+        f"{limit.seconds:g} s: this worker process ends itself\n"
+    )
+    os.write(2, said.encode())
+    os._exit(Exit.CRASHED)
