@@ -247,13 +247,23 @@ def status(
     seed: Seed = None,
     out: Out = _OUT,
     store: StoreFolder = _STORE,
+    watching: Annotated[
+        bool,
+        typer.Option("--watch", help="Show how far each case of a run is, until all is stored or Ctrl-C."),
+    ] = False,
+    interval: Annotated[float, typer.Option(min=0.1, help="Seconds between two looks of --watch.")] = 2.0,
     plugin: Plugins = None,
 ) -> None:
     """Show how many trials are stored, and the state of outputs."""
     from hident.commands.plans import all_configs
     from hident.commands.showing import print_status
+    from hident.commands.watching import watch
 
-    print_status(_plans(configs or all_configs(), assignments, trials, seed, plugin), out, store)
+    plans = _plans(configs or all_configs(), assignments, trials, seed, plugin)
+    if watching:
+        watch(plans, store, interval)
+    else:
+        print_status(plans, out, store)
 
 
 @app.command()

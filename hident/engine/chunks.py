@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from hident.engine.clock import Limit
+from hident.engine.experiment import Label
 from hident.engine.trial import Data, Job, Outcome, run_trials
 from hident.engine.unit_trials import UnitTrials
 
 _SECONDS = 0.25
 _LARGEST = 1000
+
+
+def in_common(labels: Iterable[Mapping[str, Label]]) -> dict[str, Label]:
+    """The labels of a case: those that all of its units have, as axes of an estimator are not its own."""
+    first, *others = [of.items() for of in labels]
+    return dict(label for label in first if all(label in of for of in others))
 
 
 @dataclass
@@ -63,9 +70,8 @@ class Chunk:
 
     def fields(self) -> dict[str, Any]:
         """What it is of: the labels that all its units have, the estimators, and its trials."""
-        labels = [unit.unit.labels.items() for unit, _ in self.tasks]
         return {
-            "case": dict(label for label in labels[0] if all(label in others for others in labels)),
+            "case": in_common(unit.unit.labels for unit, _ in self.tasks),
             "estimators": [*dict.fromkeys(unit.unit.name for unit, _ in self.tasks)],
             "trials": len(self.wanted),
             "first": min(self.wanted),

@@ -40,6 +40,11 @@ class Limit:
     seconds: float
     home: tuple[str, int] = field(default_factory=_here)
 
+    @classmethod
+    def of(cls, seconds: float | None) -> Limit | None:
+        """The limit of a run in this process, if there is one."""
+        return None if seconds is None else cls(seconds)
+
 
 class TookTooLong(TrialFailed):
     """The trial was ended by the clock. That is no property of the trial: another machine may finish it."""

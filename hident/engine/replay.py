@@ -95,9 +95,9 @@ class OneTrial:
 
     def _tried(self, make: Callable[[], T]) -> tuple[T | None, str]:
         """What is made, or None and why it failed."""
-        seconds = self._plan.trial_timeout
+        limit = Limit.of(self._plan.trial_timeout)
         try:
-            with np.errstate(all="ignore"), Clock(seconds and Limit(seconds)) as clock:
+            with np.errstate(all="ignore"), Clock(limit) as clock:
                 return clock.limited(make), ""
         except FAILURES as error:
             return None, reason(error)

@@ -127,7 +127,7 @@ class _Run:
         self._chunks = all_chunks(self._units)
         self._pending: dict[Future[tuple[list[Outcome], float]], Chunk] = {}
         self._crashes: list[Crash] = []
-        self._limit = Limit(plan.trial_timeout) if plan.trial_timeout else None
+        self._limit = Limit.of(plan.trial_timeout)
         self._late = 0
 
     def results(self) -> Results:
