@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from hident.engine.runner import Progress, Silent
 
@@ -28,6 +29,19 @@ def duration(seconds: float) -> str:
         if (count := seconds / length) < most:
             return f"{count:.1f} {unit}" if unit == "h" and count < 10.0 else f"{count:.0f} {unit}"
     return f"{seconds / 86400.0:.0f} days"
+
+
+@contextmanager
+def reminder(said: str, *, quiet: bool) -> Iterator[None]:
+    """Say on standard error that something goes on, if it takes more than ten seconds."""
+    timer = threading.Timer(_EVERY_SECONDS, lambda: print(said, file=sys.stderr, flush=True))
+    timer.daemon = True
+    if not quiet:
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def rate_of(trials: float, seconds: float) -> str:

@@ -21,7 +21,7 @@ from hident.engine.run_files import PAGE
 from hident.engine.runner import CrashReport, run
 from hident.engine.store import Store, TrialStore
 from hident.errors import ConfigError, Exit, NothingToCompare
-from hident.progress import chosen
+from hident.progress import chosen, reminder
 from hident.run_folder import RunFolder, phase
 
 if TYPE_CHECKING:
@@ -90,7 +90,11 @@ class Bench:
                 # Asked again, as another run may have held the store until now.
                 if outputs.state() != "up to date":
                     seconds: dict[str, float] = {}
-                    with phase(seconds, "records checked"):
+                    said = (
+                        f"{plan.name}: still at the records of trial 0, which are simulated first; every trial "
+                        "takes as long. Ctrl-C stops, and --trial-timeout SECONDS ends what takes longer"
+                    )
+                    with phase(seconds, "records checked"), reminder(said, quiet=self.quiet):
                         check_records(plan)
                     with phase(seconds, "trials"):
                         results = self._trials(plan, writer, plan.name, keep_going=keep_going)

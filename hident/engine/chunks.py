@@ -94,11 +94,16 @@ class Chunk:
 
 
 def all_chunks(units: Iterable[UnitTrials]) -> Iterator[Chunk]:
-    """What the units lack, case by case."""
+    """What the units lack: the first chunk of every case, which is one trial, and then case by case.
+
+    So the first trials show what the whole costs, and a case that crashes does so early.
+    """
     cases: dict[int, Case] = {}
     for unit in units:
         cases.setdefault(unit.unit.data.key, Case(unit.unit.data)).units.append(unit)
-    return itertools.chain.from_iterable(case.chunks() for case in cases.values())
+    rests = [case.chunks() for case in cases.values()]
+    firsts = itertools.chain.from_iterable(itertools.islice(rest, 1) for rest in rests)
+    return itertools.chain(firsts, *rests)
 
 
 def timed(

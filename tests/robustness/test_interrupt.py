@@ -64,6 +64,8 @@ def test_first_interrupt_of_a_pool_keeps_what_is_in_flight(held: Lab, uninterrup
 def test_second_interrupt_of_a_pool_stops_at_once(held: Lab) -> None:
     process = held.start("run", "tiny.yaml", "--jobs", "2")
     held.await_((held.folder / "reached").exists)
+    # Both cases are begun together.
+    held.await_(held.trials)
     os.killpg(process.pid, signal.SIGINT)
     held.await_(lambda: "Ctrl-C again stops at once" in held.log)
     os.killpg(process.pid, signal.SIGINT)
@@ -96,6 +98,20 @@ def test_interrupt_of_a_serial_run(held: Lab, uninterrupted: bytes) -> None:
     (held.folder / "hold").unlink()
     held.run("-q")
     assert held.table == uninterrupted
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_interrupts_end_estimates_that_never_end(lab: Lab, jobs: str) -> None:
+    lab.probe("Path('reached').touch()\nwhile True:\n    np.linalg.inv(np.eye(9))")
+    process = lab.start("run", "tiny.yaml", "--jobs", jobs)
+    lab.await_((lab.folder / "reached").exists)
+    os.killpg(process.pid, signal.SIGINT)
+    if jobs != "1":
+        lab.await_(lambda: "Ctrl-C again stops at once" in lab.log)
+        os.killpg(process.pid, signal.SIGINT)
+    assert process.wait() == 130
+    assert "Traceback" not in lab.log
+    lab.await_alone()
 
 
 def test_interrupt_while_outputs_are_written_leaves_the_old_ones(lab: Lab) -> None:

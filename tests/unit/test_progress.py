@@ -2,7 +2,7 @@
 
 import pytest
 
-from hident.progress import Bar, Lines, duration, rate_of
+from hident.progress import Bar, Lines, duration, rate_of, reminder
 
 
 class Clock:
@@ -106,6 +106,22 @@ def test_where_nothing_ends_it_says_what_is_at_work_and_how_to_stop_it_less_and_
     shown.look()
     assert "nothing has ended" not in _said(capsys)
     shown.finish()
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_what_goes_on_for_long_is_said_unless_quiet(quiet, monkeypatch, capsys):
+    monkeypatch.setattr("hident.progress._EVERY_SECONDS", 0.0)
+    said = ""
+    with reminder("still at it", quiet=quiet):
+        while not quiet and not said:
+            said = capsys.readouterr().err
+    assert said + capsys.readouterr().err == ("" if quiet else "still at it\n")
+
+
+def test_what_ends_soon_is_not_said(capsys):
+    with reminder("still at it", quiet=False):
+        pass
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize(

@@ -42,17 +42,18 @@ class Told:
     total: int = 0
     stored: int = 0
     done: int = 0
-    works: list[str] = field(default_factory=list)
+    begun: list[str] = field(default_factory=list)
+    came_back: list[str] = field(default_factory=list)
     ended: list[str] = field(default_factory=list)
 
     def start(self, total: int, stored: int) -> None:
         self.total, self.stored = total, stored
 
     def begins(self, work: str) -> None:
-        self.works.append(work)
+        self.begun.append(work)
 
     def ends(self, work: str) -> None:
-        self.works.remove(work)
+        self.came_back.append(work)
 
     def advance(self, trials: int) -> None:
         self.done += trials
@@ -202,6 +203,15 @@ def test_interrupt_stores_what_is_in_flight(lab: Lab) -> None:
         signal.signal(signal.SIGINT, before)
     assert told.ended == ["stopping", "finished"]
     assert Store(lab.folder / "s").count() == executor.calls * 2 == told.done
+
+
+def test_the_first_trial_of_every_case_comes_first(lab: Lab) -> None:
+    plan = _plan(lab, cases={"samples": [50, 60, 70]}, trials=3, tables={})
+    _, told = _run(lab, plan)
+    first, rest = told.begun[:3], told.begun[3:]
+    assert first == [f"trial 0 of 'known', 'iv' at samples {samples}" for samples in (50, 60, 70)]
+    assert not any(work.startswith("trial 0 ") for work in rest)
+    assert told.begun == told.came_back
 
 
 def test_chunks_grow_to_about_a_quarter_of_a_second(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
