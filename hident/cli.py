@@ -67,7 +67,8 @@ Wait = Annotated[float, typer.Option(min=0, help="Seconds to wait while another 
 TrialTimeout = Annotated[
     float | None,
     typer.Option(
-        metavar="SECONDS", help="End what takes longer in one trial, and count it as failed; not stored."
+        metavar="SECONDS",
+        help="End a trial that takes longer: it counts as failed and is not stored. No limit by default.",
     ),
 ]
 Log = Annotated[

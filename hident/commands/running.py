@@ -91,8 +91,8 @@ class Bench:
                 if outputs.state() != "up to date":
                     seconds: dict[str, float] = {}
                     said = (
-                        f"{plan.name}: still at the records of trial 0, which are simulated first; every trial "
-                        "takes as long. Ctrl-C stops, and --trial-timeout SECONDS ends what takes longer"
+                        f"{plan.name}: still at the records of trial 0, which are simulated first; every "
+                        "trial takes as long. Ctrl-C stops, --trial-timeout SECONDS ends what takes longer"
                     )
                     with phase(seconds, "records checked"), reminder(said, quiet=self.quiet):
                         check_records(plan)

@@ -4,12 +4,15 @@ A thread of its own watches the clock. When the time is up, it raises an excepti
 computes (``PyThreadState_SetAsyncExc``), whichever of its process that is. Python raises it between two
 instructions: a loop or a chain of calls to numpy ends at once, a single call into a library when it returns.
 A worker process in which such a call does not return ends itself after a grace period, and its executor deals
-with its trials as with those of any lost worker; the process of the run cannot do so, and waits.
+with its trials as with those of any lost worker. So it does where the call keeps the interpreter's lock, so
+that the thread that watches cannot run: ``faulthandler``, which needs no lock, ends the process unless that
+thread puts it off in time. The process of the run does not end itself, and waits.
 """
 
 from __future__ import annotations
 
 import ctypes
+import faulthandler
 import os
 import platform
 import threading
@@ -25,6 +28,8 @@ T = TypeVar("T")
 
 GRACE_SECONDS = 10.0
 """How much longer a worker process waits for a call that does not return."""
+_LONGEST_SECONDS = 1e6
+"""No clock is set further ahead: days."""
 _AGAIN_SECONDS = 1.0
 """How long after the exception it is raised again: code may have swallowed it."""
 
@@ -100,9 +105,12 @@ class Clock:
         self._limit = limit
         self._work: _Work | None = None
         self._stopped = threading.Event()
+        self._in_worker = limit is not None and limit.home != _here()
+        self._turn = threading.Lock()
 
     def __enter__(self) -> Self:
         if self._limit is not None:
+            self._put_off(self._limit)
             threading.Thread(
                 target=self._watch, args=(self._limit,), name="trial timeout", daemon=True
             ).start()
@@ -111,7 +119,10 @@ class Clock:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stopped.set()
+        with self._turn:
+            self._stopped.set()
+            if self._in_worker:
+                faulthandler.cancel_dump_traceback_later()
 
     def limited(self, make: Callable[[], T]) -> T:
         """What is made; TookTooLong if that takes longer than the limit."""
@@ -138,9 +149,10 @@ class Clock:
 
     def _watch(self, limit: Limit) -> None:
         # No work that begins in a pause of this length is due before it is looked at.
-        longest = min(limit.seconds, threading.TIMEOUT_MAX)
+        longest = min(limit.seconds, _LONGEST_SECONDS)
         pause = longest
         while not self._stopped.wait(pause):
+            self._put_off(limit)
             work, now = self._work, time.monotonic()
             pause = longest
             if work is None:
@@ -148,10 +160,18 @@ class Clock:
             if now < work.due:
                 pause = min(work.due - now, longest)
             elif work.alarm():
-                if limit.home != _here() and now > work.began + limit.seconds + GRACE_SECONDS:
+                if self._in_worker and now > work.began + limit.seconds + GRACE_SECONDS:
                     _end_process(limit)
                 work.due = now + _AGAIN_SECONDS
                 pause = min(_AGAIN_SECONDS, longest)
+
+    def _put_off(self, limit: Limit) -> None:
+        """Let the process end if this is not called again soon enough; threads of one worker share that."""
+        with self._turn:
+            if self._in_worker and not self._stopped.is_set():
+                # It is called after a limit at the latest, and a call may keep the lock for another one.
+                soon = min(2.0 * limit.seconds + GRACE_SECONDS, _LONGEST_SECONDS)
+                faulthandler.dump_traceback_later(soon, exit=True, file=2)
 
 
 def _end_process(limit: Limit) -> NoReturn:
