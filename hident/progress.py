@@ -101,9 +101,9 @@ class _Notices:
             if left > _LONG_SECONDS:
                 self._cost_said = True
                 self._say(
-                    f"about {duration(left)} for {self._total - self._done} trials more, those of "
-                    f"{self._estimates} estimates together; fewer --trials, more --jobs or a --trial-timeout "
-                    "change that, and Ctrl-C keeps what is stored"
+                    f"about {duration(left)} to go for {self._total - self._done} trials of "
+                    f"{self._estimates} estimates; fewer --trials, more --jobs or a --trial-timeout shorten "
+                    "it, and Ctrl-C keeps what is stored"
                 )
         if now - self._last >= self._patience:
             with self._lock:

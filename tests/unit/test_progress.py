@@ -66,8 +66,8 @@ def test_a_run_that_takes_long_says_once_what_it_costs_and_what_changes_that(sho
         shown.look()
     shown.finish()
     notice = (
-        "tiny: about 3.7 h for 3997 trials more, those of 4 estimates together; fewer --trials, more --jobs "
-        "or a --trial-timeout change that, and Ctrl-C keeps what is stored"
+        "tiny: about 3.7 h to go for 3997 trials of 4 estimates; fewer --trials, more --jobs or a "
+        "--trial-timeout shorten it, and Ctrl-C keeps what is stored"
     )
     assert _said(capsys).count(notice) == 1
 
