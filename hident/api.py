@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -389,7 +389,7 @@ def run(
             )
         elif executor is not None:
             workers, executor = executor, make_executor(executor, plan.plugin_files)
-            stack.enter_context(executor)
+            stack.push(partial(_ended, executor))
         try:
             return runner.run(plan, store=store, executor=executor, workers=workers)
         except runner.CrashReport as crash:
@@ -397,6 +397,14 @@ def run(
             raise
         except runner.WorkerEnded as ended:
             raise runner.WorkerEnded(kept=ended.kept, in_python=True) from None
+
+
+def _ended(executor: Executor, kind: type[BaseException] | None, *_: object) -> None:
+    """Let the workers that were made here end; at once where Ctrl-C left them at work, perhaps for ever."""
+    if kind is not None:
+        for worker in (getattr(executor, "_processes", None) or {}).values():
+            worker.kill()
+    executor.shutdown(cancel_futures=True)
 
 
 def _require_source(plan: Plan) -> None:

@@ -16,6 +16,7 @@ from hident import arithmetic
 from hident.engine.cores import usable_cores
 from hident.engine.executors import end, make_executor
 from hident.engine.experiment import Plan
+from hident.engine.log import tell, warn
 from hident.engine.preflight import check_records
 from hident.engine.run_files import PAGE
 from hident.engine.runner import CrashReport, run
@@ -49,6 +50,7 @@ class Bench:
         for plan in self.plans:
             try:
                 for undrawn in self._written(plan, keep_going=keep_going):
+                    warn("not drawn", undrawn, config=plan.name)
                     print(f"error: {undrawn}; all other outputs are written", file=sys.stderr)
                     code = max(code, Exit.DIFFERS)
                 if not self.quiet and len(self.plans) == 1:
@@ -100,6 +102,7 @@ class Bench:
                         results = self._trials(plan, writer, plan.name, keep_going=keep_going)
                     undrawn = outputs.write(results, {"workers": self.workers}, seconds)
                     note = f"{plan.name}: wrote {outputs.folder}"
+        tell("outputs", note, config=plan.name)
         if not self.quiet:
             print(note, file=sys.stderr)
         return undrawn

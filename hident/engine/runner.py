@@ -202,6 +202,7 @@ class _Run:
 
     def _stop(self) -> None:
         """Give up what no worker has begun, and keep what is in flight."""
+        warn("interrupt", f"{self._plan.name}: interrupted", config=self._plan.name)
         for future in [future for future in self._pending if future.cancel()]:
             del self._pending[future]
         if self._pending:

@@ -68,7 +68,7 @@ def test_the_commands_run(folder):
     assert "up to date" in said["hident status"]
     assert said["hident status --watch"].startswith("my: 8/8 trials, done\n")
     assert 'pandas.read_json("run.log", lines=True)' in README
-    assert pd.read_json(folder / "run.log", lines=True)["event"].tolist() == ["start", "end"]
+    assert pd.read_json(folder / "run.log", lines=True)["event"].tolist() == ["start", "end", "outputs"]
 
 
 def test_an_axis_is_a_variable_and_a_label_sets_several_values(folder):

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+
+from tests.forked import GUARD_SECONDS
 
 if TYPE_CHECKING:
     from tests.conftest import Lab
@@ -111,6 +114,45 @@ def test_interrupts_end_estimates_that_never_end(lab: Lab, jobs: str) -> None:
         os.killpg(process.pid, signal.SIGINT)
     assert process.wait() == 130
     assert "Traceback" not in lab.log
+    lab.await_alone()
+
+
+_SCRIPT = """
+import os, signal, threading, time
+from pathlib import Path
+import hident as hi
+
+def interrupt():
+    while not Path("reached").exists():
+        time.sleep(0.01)
+    os.kill(os.getpid(), signal.SIGINT)
+    # The first one brings Python's own handler back.
+    while signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        time.sleep(0.01)
+    os.kill(os.getpid(), signal.SIGINT)
+
+if __name__ == "__main__":
+    threading.Thread(target=interrupt, daemon=True).start()
+    try:
+        hi.run("tiny.yaml", executor=2)
+    except KeyboardInterrupt:
+        print("interrupted")
+"""
+
+
+def test_second_interrupt_of_a_script_ends_estimates_that_never_end(lab: Lab) -> None:
+    lab.probe("Path('reached').touch()\nwhile True:\n    pass")
+    lab.configure(plugins=["probe.py"])
+    (lab.folder / "script.py").write_text(_SCRIPT, encoding="utf-8")
+    said = subprocess.run(
+        [sys.executable, "script.py"],
+        cwd=lab.folder,
+        capture_output=True,
+        text=True,
+        timeout=GUARD_SECONDS,
+        check=True,
+    )
+    assert said.stdout == "interrupted\n"
     lab.await_alone()
 
 

@@ -26,7 +26,7 @@ def _lines(lab: Lab) -> list[dict[str, Any]]:
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_a_line_for_each_chunk_and_for_start_and_end(lab: Lab, jobs: str) -> None:
     lab.run("--quiet", "--jobs", jobs, "--log", "run.log")
-    start, *chunks, end = _lines(lab)
+    start, *chunks, end, outputs = _lines(lab)
     assert start["event"] == "start"
     assert (start["config"], start["total"], start["stored"], start["workers"]) == ("tiny", 24, 0, int(jobs))
     assert start["time"].endswith("+00:00")
@@ -35,6 +35,7 @@ def test_a_line_for_each_chunk_and_for_start_and_end(lab: Lab, jobs: str) -> Non
         "finished",
         "tiny: all 24 trials are there",
     )
+    assert (outputs["event"], outputs["message"]) == ("outputs", "tiny: wrote out/tiny")
     assert {line["event"] for line in chunks} == {"chunk"}
     trials: Counter[int] = Counter()
     for line in chunks:
@@ -47,7 +48,8 @@ def test_a_line_for_each_chunk_and_for_start_and_end(lab: Lab, jobs: str) -> Non
     lab.run("--quiet", "--log", "run.log")
     (lab.folder / "out/tiny/run.json").unlink()
     lab.run("--quiet", "--log", "run.log")
-    assert [line["event"] for line in _lines(lab)[len(chunks) + 2 :]] == ["start", "end"]
+    events = [line["event"] for line in _lines(lab)[len(chunks) + 3 :]]
+    assert events == ["outputs", "start", "end", "outputs"]
 
 
 def test_crashes_and_trials_that_took_too_long_have_lines(lab: Lab) -> None:
@@ -72,11 +74,16 @@ def test_crashes_and_trials_that_took_too_long_have_lines(lab: Lab) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="signals and /proc")
-def test_an_interrupt_has_a_line(lab: Lab) -> None:
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_an_interrupt_has_a_line(lab: Lab, jobs: str) -> None:
     lab.probe("Path('reached').touch()\nwhile True:\n    pass")
-    process = lab.start("run", "tiny.yaml", "--jobs", "1", "--log", "run.log")
+    process = lab.start("run", "tiny.yaml", "--jobs", jobs, "--log", "run.log")
     lab.await_((lab.folder / "reached").exists)
     os.killpg(process.pid, signal.SIGINT)
+    if jobs != "1":
+        lab.await_(lambda: "Ctrl-C again stops at once" in lab.log)
+        assert _lines(lab)[-1]["event"] == "interrupt"
+        os.killpg(process.pid, signal.SIGINT)
     assert process.wait() == 130
     assert (_lines(lab)[-1]["event"], _lines(lab)[-1]["outcome"]) == ("end", "KeyboardInterrupt")
 
