@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections import deque
@@ -18,8 +19,10 @@ from hident.progress import duration, rate_of
 if TYPE_CHECKING:
     from rich.console import Group
 
-_WINDOW_SECONDS = 30.0
-"""The rate is that of the last so many seconds."""
+_WINDOW_SECONDS, _WINDOW_TRIALS = 30.0, 10
+"""The rate is that of the last so many seconds, and of so many trials at least."""
+_LATE_SECONDS = 10.0
+"""A case at which nothing came for so long, while something came at another, is not at work."""
 _HEAD = ("configuration", "case", "stored", "of", "failed", "rate", "left")
 
 
@@ -49,33 +52,39 @@ class Row:
     of: int
     stored: int = 0
     failed: int = 0
+    last: float = -math.inf
+    """When trials were last seen to come."""
+    at_work: bool = False
+    """Whether trials come now: of a case, whether no other case's came clearly later."""
     _seen: deque[tuple[float, int]] = field(default_factory=deque)
+    _now: float = 0.0
 
     def take(self, found: Mapping[str, Counts], now: float) -> None:
         """Take what is counted now."""
         of_units = [[found[key] for key in keys.values()] for _, keys in self.units]
         self.stored = sum(min(one.trials for one in of_metrics) for of_metrics in of_units)
         self.failed = sum(max(one.failed for one in of_metrics) for of_metrics in of_units)
-        self._seen.append((now, self.stored))
-        while len(self._seen) > 2 and self._seen[1][0] <= now - _WINDOW_SECONDS:
+        self._now = now
+        if not self._seen or self.stored != self._seen[-1][1]:
+            self.last = now if self._seen else -math.inf
+            self._seen.append((now, self.stored))
+        while len(self._seen) > 2 and self._is_enough(*self._seen[1]):
             self._seen.popleft()
 
-    @property
-    def gained(self) -> int:
-        """How many trials came within the window."""
-        return self._seen[-1][1] - self._seen[0][1]
+    def _is_enough(self, then: float, stored: int) -> bool:
+        return self._now - then >= _WINDOW_SECONDS and self.stored - stored >= _WINDOW_TRIALS
 
     @property
     def rate(self) -> str:
-        """The rate within the window; empty if nothing came."""
-        return rate_of(self.gained, self._seconds) if self.gained > 0 else ""
+        """The rate of late; empty if none come."""
+        return rate_of(self._gained, self._seconds) if self.at_work else ""
 
     @property
     def left(self) -> str:
         """How long the rest takes at this rate; empty if that cannot be known."""
         if self.stored == self.of:
             return "done"
-        return duration((self.of - self.stored) * self._seconds / self.gained) if self.gained > 0 else ""
+        return duration((self.of - self.stored) * self._seconds / self._gained) if self.at_work else ""
 
     @property
     def cells(self) -> tuple[str, ...]:
@@ -95,8 +104,16 @@ class Row:
         return f"{named}: {self.stored}/{self.of} trials" + "".join(f", {part}" for part in rest)
 
     @property
+    def _gained(self) -> int:
+        return self.stored - self._seen[0][1]
+
+    @property
     def _seconds(self) -> float:
-        return self._seen[-1][0] - self._seen[0][0]
+        return self._now - self._seen[0][0]
+
+    def judge(self, latest: float) -> None:
+        """Settle whether it is at work, by when trials of its configuration last came."""
+        self.at_work = self._gained > 0 and self.last >= latest - _LATE_SECONDS
 
 
 class View:
@@ -105,17 +122,19 @@ class View:
     def __init__(
         self, plans: Sequence[Plan], store: Store, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self._plans, self._store, self._clock = plans, store, clock
-        self.rows = [row for plan in plans for row in _rows(plan)]
+        self._store, self._clock = store, clock
+        self._of_plans = [(plan, [*_rows(plan)]) for plan in plans]
+        self.rows = [row for _, rows in self._of_plans for row in rows]
 
     def look(self) -> None:
         """Count again."""
-        for plan in self._plans:
+        for plan, rows in self._of_plans:
             keys = {key for keys in plan.keys for key in keys.values()}
-            found = counts(self._store, keys, plan.trials)
-            for row in self.rows:
-                if row.config == plan.name:
-                    row.take(found, self._clock())
+            found, now = counts(self._store, keys, plan.trials), self._clock()
+            for row in rows:
+                row.take(found, now)
+            for row in rows:
+                row.judge(rows[0].last)
 
     @property
     def complete(self) -> bool:
@@ -123,7 +142,7 @@ class View:
         return all(row.stored == row.of for row in self.rows)
 
     def shown(self, height: int) -> Group:
-        """The rows as a table of at most this height; cases at which nothing happens give way."""
+        """The rows as a table of at most this height; cases that have nothing to say give way."""
         from rich.console import Group
         from rich.table import Table
         from rich.text import Text
@@ -131,18 +150,20 @@ class View:
         table = Table(box=None, pad_edge=False)
         for name in _HEAD:
             table.add_column(name, justify="right" if name in _HEAD[2:] else "left", no_wrap=True)
-        still = [i for i, row in enumerate(self.rows) if row.case and not row.gained]
-        # Those that are done first, then the last ones.
-        still.sort(key=lambda i: (self.rows[i].stored < self.rows[i].of, -i))
-        spare = len(self.rows) + 1 - height
-        # One more, for the line that says so.
-        hidden = {*still[: spare + 1]} if spare > 0 else set[int]()
-        for i, row in enumerate(self.rows):
-            if i not in hidden:
-                table.add_row(*row.cells)
-        done = sum(self.rows[i].stored == self.rows[i].of for i in hidden)
-        note = f"not shown: cases that are done ({done}), and at which nothing happens ({len(hidden) - done})"
-        return Group(table, Text(note, overflow="ellipsis", no_wrap=True)) if hidden else Group(table)
+        fits = len(self.rows) < height
+        # Without the heading, and a line on those that are left out.
+        room = {*sorted(range(len(self.rows)), key=self._rank)[: len(self.rows) if fits else height - 2]}
+        left_out = [row for i, row in enumerate(self.rows) if i not in room]
+        for i in sorted(room):
+            table.add_row(*self.rows[i].cells)
+        done = sum(row.stored == row.of for row in left_out)
+        note = f"and {len(left_out)} cases more, of which {done} are done"
+        return Group(table, Text(note, overflow="ellipsis", no_wrap=True)) if left_out else Group(table)
+
+    def _rank(self, i: int) -> tuple[bool, bool, bool, float]:
+        """What comes first where not all rows can be shown."""
+        row = self.rows[i]
+        return bool(row.case), not row.at_work, row.stored == row.of, -row.last if row.at_work else i
 
 
 def _rows(plan: Plan) -> Iterator[Row]:

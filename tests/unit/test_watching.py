@@ -66,11 +66,14 @@ def test_each_case_has_its_progress_rate_failures_and_expected_end(lab: Lab, pla
     assert first.cells == ("tiny", "samples 50", "20", "20", "12", "5 trials/s", "done")
     assert first.said == "tiny, samples 50: 20/20 trials, 12 failed, 5 trials/s, done"
     assert not view.complete
-    # The rate is that of the last half minute.
-    for now in (40.0, 80.0):
-        clock.now = now
-        view.look()
-    assert (of_all.rate, of_all.left) == ("", "")
+    # The rate is that of the last half minute, or of the last ten trials.
+    clock.now = 80.0
+    view.look()
+    assert (of_all.rate, of_all.left) == ("9 trials/min", "2 min")
+    _store(lab, plan, 80, range(1))
+    clock.now = 100.0
+    view.look()
+    assert (first.rate, first.left, second.rate) == ("", "done", "1 trials/min")
     _store(lab, plan, 80, range(10))
     view.look()
     assert view.complete
@@ -104,14 +107,24 @@ def test_a_short_terminal_has_the_cases_at_which_something_happens(lab: Lab) -> 
     _store(lab, plan, 70, range(5))
     clock.now = 2.0
     view.look()
-    console = Console(width=100, height=12)
-    with console.capture() as captured:
-        console.print(view.shown(console.height))
-    lines = captured.get().splitlines()
+    lines = _printed(view)
     assert len(lines) == 12
     shown = [line.split() for line in lines]
     assert ["configuration", "case", "stored", "of", "failed", "rate", "left"] in shown
     assert ["tiny", "samples", "70", "10", "20", "0", "5", "trials/s", "2", "s"] in shown
-    assert lines[-1] == "not shown: cases that are done (1), and at which nothing happens (20)"
-    assert "samples 50" not in captured.get()
-    assert "samples 51" in captured.get()
+    assert lines[-1] == "and 21 cases more, of which 1 are done"
+    assert ["tiny", "samples", "50"] not in [words[:3] for words in shown]
+    assert ["tiny", "samples", "51", "0", "20", "0"] in shown
+    # However many are at work.
+    for samples in range(51, 70):
+        _store(lab, plan, samples, range(5))
+    clock.now = 4.0
+    view.look()
+    assert len(_printed(view)) == 12
+
+
+def _printed(view: View) -> list[str]:
+    console = Console(width=100, height=12)
+    with console.capture() as captured:
+        console.print(view.shown(console.height))
+    return captured.get().splitlines()
