@@ -3,6 +3,8 @@
 A thread of its own watches the clock. When the time is up, it raises an exception inside the thread that
 computes (``PyThreadState_SetAsyncExc``), whichever of its process that is. Python raises it between two
 instructions: a loop or a chain of calls to numpy ends at once, a single call into a library when it returns.
+An import goes on, as half a module would be of no use to the trials to come.
+
 A worker process in which such a call does not return ends itself after a grace period, and its executor deals
 with its trials as with those of any lost worker. So it does where the call keeps the interpreter's lock, so
 that the thread that watches cannot run: ``faulthandler``, which needs no lock, ends the process unless that
@@ -15,6 +17,7 @@ import ctypes
 import faulthandler
 import os
 import platform
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -28,6 +31,7 @@ T = TypeVar("T")
 
 GRACE_SECONDS = 10.0
 """How much longer a worker process waits for a call that does not return."""
+_IMPORTING = "importlib._bootstrap"
 _LONGEST_SECONDS = 1e6
 """No clock is set further ahead: days."""
 _AGAIN_SECONDS = 1.0
@@ -69,10 +73,20 @@ class _Work:
         self.began = time.monotonic()
         self.due = self.began + seconds
         self.alarmed = False
-        self._thread = ctypes.c_ulong(threading.get_ident())
+        self._thread = threading.get_ident()
         # Held by whoever may raise the alarm, at last by the computing thread for ever. Reentrant: where the
         # alarm comes just after that one took it, it takes it again.
         self._turn = threading.RLock()
+
+    def loads(self) -> bool:
+        """Whether the work is importing a module, of which an alarm would leave half behind."""
+        frame = sys._current_frames().get(self._thread)
+        # What called the work may be in an import too.
+        while frame is not None and frame.f_code is not Clock.limited.__code__:
+            if frame.f_globals.get("__name__") == _IMPORTING:
+                return True
+            frame = frame.f_back
+        return False
 
     def alarm(self) -> bool:
         """Raise the alarm in the computing thread; False if the work has ended."""
@@ -80,7 +94,7 @@ class _Work:
             return False
         try:
             self.alarmed = True
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(self._thread, ctypes.py_object(_Alarm))
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._thread), ctypes.py_object(_Alarm))
         finally:
             self._turn.release()
         return True
@@ -92,7 +106,7 @@ class _Work:
                 self._turn.acquire()
                 if self.alarmed:
                     # One that was raised and has not arrived yet.
-                    ctypes.pythonapi.PyThreadState_SetAsyncExc(self._thread, None)
+                    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._thread), None)
             except _Alarm:
                 continue
             return
@@ -159,6 +173,8 @@ class Clock:
                 continue
             if now < work.due:
                 pause = min(work.due - now, longest)
+            elif work.loads():
+                work.due = now + limit.seconds
             elif work.alarm():
                 if self._in_worker and now > work.began + limit.seconds + GRACE_SECONDS:
                     _end_process(limit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -69,6 +70,42 @@ def test_what_ends_is_left_alone_and_keeps_its_errors():
 
 def _interrupted() -> None:
     raise KeyboardInterrupt
+
+
+def test_a_module_is_loaded_to_its_end(tmp_path, monkeypatch):
+    # It ends when it was seen twice that it is loading.
+    code = "from hident.engine.clock import looks\nwhile len(looks) < 2: pass\n"
+    (tmp_path / "slowly_loaded.py").write_text(code, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    loads, looks = clock._Work.loads, []
+    monkeypatch.setattr(clock, "looks", looks, raising=False)
+    monkeypatch.setattr(clock._Work, "loads", lambda work: looks.append(found := loads(work)) or found)
+    with Clock(Limit(0.5)) as limited:
+        assert limited.limited(lambda: importlib.import_module("slowly_loaded")).looks is looks
+        assert looks == [True, True]
+        with pytest.raises(TookTooLong):
+            limited.limited(_loop)
+
+
+def test_work_that_a_module_does_while_it_is_imported_is_ended(tmp_path, monkeypatch):
+    (tmp_path / "works_at_once.py").write_text(
+        """
+from hident.engine.clock import Clock, Limit, TookTooLong
+
+def work():
+    while True:
+        pass
+
+try:
+    with Clock(Limit(0.02)) as limited:
+        limited.limited(work)
+except TookTooLong:
+    ended = True
+""",
+        encoding="utf-8",
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert importlib.import_module("works_at_once").ended
 
 
 def test_threads_have_clocks_of_their_own():
