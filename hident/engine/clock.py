@@ -72,7 +72,7 @@ class _Work:
     def __init__(self, seconds: float) -> None:
         self.began = time.monotonic()
         self.due = self.began + seconds
-        self.alarmed = False
+        self.alarmed = self.over = False
         self._thread = threading.get_ident()
         # Held by whoever may raise the alarm, at last by the computing thread for ever. Reentrant: where the
         # alarm comes just after that one took it, it takes it again.
@@ -89,8 +89,8 @@ class _Work:
         return False
 
     def alarm(self) -> bool:
-        """Raise the alarm in the computing thread; False if the work has ended."""
-        if not self._turn.acquire(blocking=False):
+        """Raise the alarm in the computing thread; False if the work is over."""
+        if self.over or not self._turn.acquire(blocking=False):
             return False
         try:
             self.alarmed = True
@@ -149,8 +149,16 @@ class Clock:
             finally:
                 work.end()
         except BaseException as error:
-            # Again, as the alarm may have come on the way into it.
-            work.end()
+            # The alarm may have come on the way into it. Two more may come at most: one that was raised, and
+            # one that is just being raised.
+            work.over = True
+            try:
+                work.end()
+            except _Alarm:
+                try:
+                    work.end()
+                except _Alarm:
+                    work.end()
             self._work = None
             if work.alarmed and not isinstance(error, KeyboardInterrupt):
                 raise TookTooLong(self._limit) from None
