@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -310,6 +310,7 @@ def run(
     seed: int | None = None,
     store: str | Path | TrialStore | None = None,
     executor: Executor | int | None = None,
+    trial_timeout: float | None = None,
     overrides: Mapping[str, Any] = _NONE,
 ) -> Results:
     """Run an experiment, and return all its trials; nothing is written but the store, if one is named.
@@ -325,6 +326,10 @@ def run(
         Where trials run: a number of worker processes, or any ``concurrent.futures.Executor``. By default
         here. The numbers do not depend on it. A script that starts processes needs the usual
         ``if __name__ == "__main__":``.
+    trial_timeout : float, optional
+        Seconds after which the simulation, an estimate or a metric of a trial is ended: the trial counts as
+        failed, and is not stored. A single call into a library that does not return ends its worker process;
+        without workers, it is waited for. By default there is no limit.
 
     Raises
     ------
@@ -361,6 +366,7 @@ def run(
     (10, 5)
     """
     plan = validate(experiment, trials=trials, seed=seed, overrides=overrides)
+    plan = plan.changed(trial_timeout=trial_timeout)
     if said := arithmetic.shortfall(arithmetic.in_use()):
         warnings.warn(said, stacklevel=2)
     if store is not None or executor is not None:
@@ -385,7 +391,7 @@ def run(
             )
         elif executor is not None:
             workers, executor = executor, make_executor(executor, plan.plugin_files)
-            stack.enter_context(executor)
+            stack.push(partial(_ended, executor))
         try:
             return runner.run(plan, store=store, executor=executor, workers=workers)
         except runner.CrashReport as crash:
@@ -393,6 +399,14 @@ def run(
             raise
         except runner.WorkerEnded as ended:
             raise runner.WorkerEnded(kept=ended.kept, in_python=True) from None
+
+
+def _ended(executor: Executor, kind: type[BaseException] | None, *_: object) -> None:
+    """Let the workers that were made here end; at once where Ctrl-C left them at work, perhaps for ever."""
+    if kind is not None:
+        for worker in (getattr(executor, "_processes", None) or {}).values():
+            worker.kill()
+    executor.shutdown(cancel_futures=True)
 
 
 def _require_source(plan: Plan) -> None:

@@ -64,6 +64,17 @@ Jobs = Annotated[
     int | None, typer.Option("--jobs", "-j", min=1, help="Worker processes; the usable cores by default.")
 ]
 Wait = Annotated[float, typer.Option(min=0, help="Seconds to wait while another run holds the store.")]
+TrialTimeout = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SECONDS",
+        help="End a trial that takes longer: it counts as failed and is not stored. No limit by default.",
+    ),
+]
+Log = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Append a line of JSON for each chunk of trials and each fault."),
+]
 _STORE, _OUT, _RESULTS = Path(".hident"), Path("out"), Path("results")
 
 
@@ -127,10 +138,12 @@ def _plans(
     trials: int | None,
     seed: int | None,
     plugin: list[Path] | None,
+    trial_timeout: float | None = None,
 ) -> list[Plan]:
     from hident.commands.plans import load_plans
 
-    return load_plans(configs, assignments, {"trials": trials, "seed": seed}, plugin or ())
+    plans = load_plans(configs, assignments, {"trials": trials, "seed": seed}, plugin or ())
+    return [plan.changed(trial_timeout=trial_timeout) for plan in plans]
 
 
 def _print_version(wanted: bool) -> None:
@@ -206,7 +219,9 @@ def run(
     out: Out = _OUT,
     store: StoreFolder = _STORE,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Finish the rest after a crash.")] = False,
+    trial_timeout: TrialTimeout = None,
     wait: Wait = 0.0,
+    log: Log = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress and no tables.")] = False,
     plugin: Plugins = None,
 ) -> None:
@@ -214,10 +229,11 @@ def run(
 
     Only trials that are not stored yet are computed.
     """
+    from hident.commands.log_file import logging_to
     from hident.commands.running import bench
 
-    plans = _plans(configs, assignments, trials, seed, plugin)
-    with bench(plans, out, store, wait, jobs, plugin or (), quiet) as place:
+    plans = _plans(configs, assignments, trials, seed, plugin, trial_timeout)
+    with logging_to(log), bench(plans, out, store, wait, jobs, plugin or (), quiet) as place:
         code = place.run(keep_going=keep_going)
     raise typer.Exit(code)
 
@@ -232,13 +248,23 @@ def status(
     seed: Seed = None,
     out: Out = _OUT,
     store: StoreFolder = _STORE,
+    watching: Annotated[
+        bool,
+        typer.Option("--watch", help="Show how far each case of a run is, until all is stored or Ctrl-C."),
+    ] = False,
+    interval: Annotated[float, typer.Option(min=0.1, help="Seconds between two looks of --watch.")] = 2.0,
     plugin: Plugins = None,
 ) -> None:
     """Show how many trials are stored, and the state of outputs."""
     from hident.commands.plans import all_configs
     from hident.commands.showing import print_status
+    from hident.commands.watching import watch
 
-    print_status(_plans(configs or all_configs(), assignments, trials, seed, plugin), out, store)
+    plans = _plans(configs or all_configs(), assignments, trials, seed, plugin)
+    if watching:
+        watch(plans, store, interval)
+    else:
+        print_status(plans, out, store)
 
 
 @app.command()
@@ -278,7 +304,9 @@ def accept(
     perturbations: Annotated[
         int, typer.Option(min=1, help="Repetitions with records that are a last bit away.")
     ] = 2,
+    trial_timeout: TrialTimeout = None,
     wait: Wait = 0.0,
+    log: Log = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
     plugin: Plugins = None,
 ) -> None:
@@ -286,11 +314,12 @@ def accept(
 
     Measures how many of the trials a last bit moves, for compare. Nothing else changes results/.
     """
+    from hident.commands.log_file import logging_to
     from hident.commands.running import bench, check_finished
 
     check_finished(configs, out)
-    plans = _plans(map(Path, configs), assignments, trials, seed, plugin)
-    with bench(plans, out, store, wait, jobs, plugin or (), quiet) as place:
+    plans = _plans(map(Path, configs), assignments, trials, seed, plugin, trial_timeout)
+    with logging_to(log), bench(plans, out, store, wait, jobs, plugin or (), quiet) as place:
         place.accept(results, perturbations)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -52,6 +53,13 @@ class RunFolder:
                 return tuple(map(str, names))
         return ()
 
+    def timed_out(self) -> int:
+        """How many trials count as failed because the clock ended them."""
+        match self.run():
+            case {"timed_out": {"trials": int(trials)}}:
+                return trials
+        return 0
+
     @property
     def sealed(self) -> bool:
         """Whether run.json says that a run wrote it, by a key or by hashes."""
@@ -80,7 +88,7 @@ class RunFolder:
             return "old"
         if self.altered():
             return "altered"
-        return "incomplete" if self.undrawn() else "up to date"
+        return "incomplete" if self.undrawn() or self.timed_out() else "up to date"
 
     def arithmetic(self) -> Any:
         """What decided the last bits: see :func:`arithmetic_of`; None without a run.json."""
@@ -156,6 +164,14 @@ class RunFolder:
             return hashlib.sha256((self.path / path).read_bytes()).hexdigest()
         except (OSError, ValueError):
             return None
+
+
+@contextmanager
+def phase(seconds: dict[str, float], name: str) -> Iterator[None]:
+    """Note how long a phase of a run takes, for run.json."""
+    start = time.perf_counter()
+    yield
+    seconds[name] = round(time.perf_counter() - start, 3)
 
 
 def arithmetic_of(provenance: Any) -> Any:

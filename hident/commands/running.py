@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import sys
-import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -17,13 +16,14 @@ from hident import arithmetic
 from hident.engine.cores import usable_cores
 from hident.engine.executors import end, make_executor
 from hident.engine.experiment import Plan
+from hident.engine.log import tell, warn
 from hident.engine.preflight import check_records
 from hident.engine.run_files import PAGE
 from hident.engine.runner import CrashReport, run
 from hident.engine.store import Store, TrialStore
 from hident.errors import ConfigError, Exit, NothingToCompare
-from hident.progress import chosen
-from hident.run_folder import RunFolder
+from hident.progress import chosen, reminder
+from hident.run_folder import RunFolder, phase
 
 if TYPE_CHECKING:
     from hident.engine.results import Results
@@ -50,6 +50,7 @@ class Bench:
         for plan in self.plans:
             try:
                 for undrawn in self._written(plan, keep_going=keep_going):
+                    warn("not drawn", undrawn, config=plan.name)
                     print(f"error: {undrawn}; all other outputs are written", file=sys.stderr)
                     code = max(code, Exit.DIFFERS)
                 if not self.quiet and len(self.plans) == 1:
@@ -91,13 +92,20 @@ class Bench:
                 # Asked again, as another run may have held the store until now.
                 if outputs.state() != "up to date":
                     if writer.mended:
+                        warn("store mended", writer.mended)
                         print(f"warning: {writer.mended}", file=sys.stderr)
-                    start = time.perf_counter()
-                    check_records(plan)
-                    results = self._trials(plan, writer, plan.name, keep_going=keep_going)
-                    wall = round(time.perf_counter() - start, 3)
-                    undrawn = outputs.write(results, {"workers": self.workers, "wall_seconds": wall})
+                    seconds: dict[str, float] = {}
+                    said = (
+                        f"{plan.name}: still at the records of trial 0, which are simulated first; every "
+                        "trial takes as long. Ctrl-C stops, --trial-timeout SECONDS ends what takes longer"
+                    )
+                    with phase(seconds, "records checked"), reminder(said, quiet=self.quiet):
+                        check_records(plan)
+                    with phase(seconds, "trials"):
+                        results = self._trials(plan, writer, plan.name, keep_going=keep_going)
+                    undrawn = outputs.write(results, {"workers": self.workers}, seconds)
                     note = f"{plan.name}: wrote {outputs.folder}"
+        tell("outputs", note, config=plan.name)
         if not self.quiet:
             print(note, file=sys.stderr)
         return undrawn
@@ -115,14 +123,21 @@ class Bench:
         return Sensitivity.measured(values, map(repeated, range(1, perturbations + 1)))
 
     def _trials(self, plan: Plan, store: TrialStore, name: str, *, keep_going: bool = False) -> Results:
-        return run(
+        results = run(
             plan,
             store=store,
             executor=self.executor,
             workers=self.workers,
             keep_going=keep_going,
-            progress=chosen(name, quiet=self.quiet),
+            progress=chosen(name, len(plan.units), quiet=self.quiet),
         )
+        if count := results.timed_out:
+            print(
+                f"warning: {name}: {count} trial{'s' * (count != 1)} took longer than the trial timeout of "
+                f"{plan.trial_timeout:g} s: counted as failed, not stored, and computed by the next run",
+                file=sys.stderr,
+            )
+        return results
 
 
 @contextmanager

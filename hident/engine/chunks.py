@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from hident.engine.clock import Limit
+from hident.engine.experiment import Label
 from hident.engine.trial import Data, Job, Outcome, run_trials
 from hident.engine.unit_trials import UnitTrials
 
 _SECONDS = 0.25
 _LARGEST = 1000
+
+
+def in_common(labels: Iterable[Mapping[str, Label]]) -> dict[str, Label]:
+    """The labels of a case: those that all of its units have, as axes of an estimator are not its own."""
+    first, *others = [of.items() for of in labels]
+    return dict(label for label in first if all(label in of for of in others))
 
 
 @dataclass
@@ -57,6 +66,23 @@ class Chunk:
         tasks = [Task(unit, *lacks) for unit in case.units for lacks in unit.lacking(trials)]
         return cls(case, trials, tasks)
 
+    def fields(self) -> dict[str, Any]:
+        """What it is of: the labels that all its units have, the estimators, and its trials."""
+        return {
+            "case": in_common(task.of.unit.labels for task in self.tasks),
+            "estimators": [*dict.fromkeys(task.of.unit.name for task in self.tasks)],
+            "trials": len(self.trials),
+            "first": self.trials[0],
+            "last": self.trials[-1],
+        }
+
+    def described(self) -> str:
+        """The same in words."""
+        of = self.fields()
+        trials = f"trials {of['first']} to {of['last']}" if of["trials"] > 1 else f"trial {of['first']}"
+        at = ", ".join(f"{axis} {label}" for axis, label in of["case"].items())
+        return f"{trials} of {', '.join(map(repr, of['estimators']))}" + (f" at {at}" if at else "")
+
     def jobs(self) -> list[Job]:
         """The tasks as a trial needs them."""
         units = [(task.of.unit, task.metrics) for task in self.tasks]
@@ -68,16 +94,26 @@ class Chunk:
 
 
 def all_chunks(units: Iterable[UnitTrials]) -> Iterator[Chunk]:
-    """What the units lack, case by case."""
+    """What the units lack: the first chunk of every case, which is one trial, and then case by case.
+
+    So the first trials show what the whole costs, and a case that crashes does so early.
+    """
     cases: dict[int, Case] = {}
     for unit in units:
         cases.setdefault(unit.unit.data.key, Case(unit.unit.data)).units.append(unit)
-    return itertools.chain.from_iterable(case.chunks() for case in cases.values())
+    rests = [case.chunks() for case in cases.values()]
+    firsts = itertools.chain.from_iterable(itertools.islice(rest, 1) for rest in rests)
+    return itertools.chain(firsts, *rests)
 
 
 def timed(
-    data: Data, jobs: Sequence[Job], wanted: Sequence[Sequence[int]], seed: int, perturbation: int
+    data: Data,
+    jobs: Sequence[Job],
+    wanted: Sequence[Sequence[int]],
+    seed: int,
+    perturbation: int,
+    limit: Limit | None = None,
 ) -> tuple[list[Outcome], float]:
     """What the jobs give, and the seconds that they took."""
     start = time.perf_counter()
-    return run_trials(data, jobs, wanted, seed, perturbation), time.perf_counter() - start
+    return run_trials(data, jobs, wanted, seed, perturbation, limit), time.perf_counter() - start

@@ -7,6 +7,7 @@ not multiply that estimator, so that no unit stands twice.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -185,7 +186,8 @@ class Plan:
     """An experiment with its file, its axes and its units; nothing about it changes once it is known.
 
     With a ``perturbation`` k > 0, the records are those of :func:`hident.engine.trial.generate` a last bit
-    away, and the scores are stored under keys of their own.
+    away, and the scores are stored under keys of their own. A ``trial_timeout`` in seconds ends what takes
+    longer in a trial, which then counts as failed and is not stored: no key depends on it.
     """
 
     path: Path
@@ -194,6 +196,7 @@ class Plan:
     axes: tuple[Axis, ...]
     units: tuple[Unit, ...]
     perturbation: int = 0
+    trial_timeout: float | None = None
     _paper_files: dict[str, bytes | None] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -212,11 +215,17 @@ class Plan:
         return tuple(unit.keys(self.seed, self.perturbation) for unit in self.units)
 
     def changed(
-        self, *, trials: int | None = None, seed: int | None = None, perturbation: int | None = None
+        self,
+        *,
+        trials: int | None = None,
+        seed: int | None = None,
+        perturbation: int | None = None,
+        trial_timeout: float | None = None,
     ) -> Plan:
-        """The plan with another number of trials, another seed or another perturbation.
+        """The plan with another number of trials, seed, perturbation or trial timeout.
 
-        ConfigError if there is no trial, or the seed or the perturbation is negative.
+        ConfigError if there is no trial, the seed or the perturbation is negative, or the timeout is not a
+        number above 0.
         """
         given = {"trials": trials, "seed": seed}
         experiment = self.experiment.model_copy(
@@ -228,7 +237,10 @@ class Plan:
                 "trials must be at least 1, seed and perturbation at least 0, not "
                 f"{experiment.trials}, {experiment.seed} and {perturbation}"
             )
-        return replace(self, experiment=experiment, perturbation=perturbation)
+        timeout = self.trial_timeout if trial_timeout is None else trial_timeout
+        if timeout is not None and not 0.0 < timeout < math.inf:
+            raise ConfigError(f"the trial timeout must be a number of seconds above 0, not {timeout:g}")
+        return replace(self, experiment=experiment, perturbation=perturbation, trial_timeout=timeout)
 
     @property
     def name(self) -> str:

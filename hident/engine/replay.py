@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from hident.config.suggest import did_you_mean
+from hident.engine.clock import Clock, Limit
 from hident.engine.experiment import Label, Plan, Unit
 from hident.engine.trial import FAILURES, Data, Job, estimate, generate, reason
 from hident.errors import ConfigError
@@ -79,7 +80,7 @@ class OneTrial:
     def record(self, data: Data) -> tuple[Record | None, str]:
         """The record of a case, or None and why its simulation failed."""
         if data.key not in self._records:
-            self._records[data.key] = _tried(
+            self._records[data.key] = self._tried(
                 lambda: generate(data, self._plan.seed, self._trial, self._plan.perturbation)
             )
         return self._records[data.key]
@@ -89,14 +90,14 @@ class OneTrial:
         if record is None:
             return Realised(unit, truth, None, None, failure)
         job = Job(unit.estimator, ())
-        found, failure = _tried(lambda: estimate(unit.data, job, record, self._plan.seed, self._trial))
+        found, failure = self._tried(lambda: estimate(unit.data, job, record, self._plan.seed, self._trial))
         return Realised(unit, truth, record, found, failure)
 
-
-def _tried(make: Callable[[], T]) -> tuple[T | None, str]:
-    """What is made, or None and why it failed."""
-    try:
-        with np.errstate(all="ignore"):
-            return make(), ""
-    except FAILURES as error:
-        return None, reason(error)
+    def _tried(self, make: Callable[[], T]) -> tuple[T | None, str]:
+        """What is made, or None and why it failed."""
+        limit = Limit.of(self._plan.trial_timeout)
+        try:
+            with np.errstate(all="ignore"), Clock(limit) as clock:
+                return clock.limited(make), ""
+        except FAILURES as error:
+            return None, reason(error)

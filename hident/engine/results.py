@@ -145,12 +145,14 @@ class _Kind:
 class Results:
     """All trials of a plan: complete, or it would not exist.
 
-    ``series`` holds one :class:`Series` for each label of a metric of each unit, ``plan`` what was run.
+    ``series`` holds one :class:`Series` for each label of a metric of each unit, ``plan`` what was run,
+    ``timed_out`` how many trials of units count as failed because they took longer than the trial timeout.
     :meth:`frame` gives the statistics, :meth:`trials_frame` every trial's value.
     """
 
     plan: Plan
     series: tuple[Series, ...]
+    timed_out: int = 0
 
     def select(
         self,

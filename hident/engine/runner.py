@@ -13,8 +13,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from hident.engine.chunks import Chunk, all_chunks, timed
+from hident.engine.clock import Limit
 from hident.engine.executors import SerialExecutor
 from hident.engine.experiment import Plan, Unit
+from hident.engine.log import tell, warn
 from hident.engine.results import Results
 from hident.engine.scores import Scores
 from hident.engine.store import MemoryStore, Reader, Store, TrialStore
@@ -33,6 +35,12 @@ class Progress(Protocol):
     def start(self, total: int, stored: int) -> None:
         """The run wants ``total`` trials of units, of which ``stored`` are there already."""
 
+    def begins(self, work: str) -> None:
+        """Some trials, which ``work`` names, are given to a worker; it may begin them later."""
+
+    def ends(self, work: str) -> None:
+        """They came back."""
+
     def advance(self, trials: int) -> None:
         """This many more are stored."""
 
@@ -47,6 +55,10 @@ class Silent:
     """A run that tells nothing."""
 
     def start(self, total: int, stored: int) -> None: ...
+
+    def begins(self, work: str) -> None: ...
+
+    def ends(self, work: str) -> None: ...
 
     def advance(self, trials: int) -> None: ...
 
@@ -124,24 +136,42 @@ class _Run:
         self._chunks = all_chunks(self._units)
         self._pending: dict[Future[tuple[list[Outcome], float]], Chunk] = {}
         self._crashes: list[Crash] = []
+        self._limit = Limit.of(plan.trial_timeout)
+        self._late = 0
 
     def results(self) -> Results:
         """Read what is stored, compute the rest."""
         self._store.add(self._described(), ())
         for unit in self._units:
             unit.read()
-        self._progress.start(
-            len(self._units) * self._plan.trials, sum(unit.complete() for unit in self._units)
+        with self._told():
+            try:
+                self._compute()
+            except BrokenExecutor:
+                raise WorkerEnded(kept=self._kept) from None
+            if self._crashes:
+                raise CrashReport(self._crashes, kept=self._kept)
+        return Results(
+            self._plan, tuple(series for unit in self._units for series in unit.series()), self._late
         )
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Tell how the run begins and how it ends."""
+        total, stored = len(self._units) * self._plan.trials, sum(unit.complete() for unit in self._units)
+        of = {"config": self._plan.name, "perturbation": self._plan.perturbation}
+        self._progress.start(total, stored)
+        said = f"{self._plan.name}: {total} trials, {stored} of them stored"
+        tell("start", said, **of, total=total, stored=stored, workers=self._workers)
         try:
-            self._compute()
-        except BrokenExecutor:
-            raise WorkerEnded(kept=self._kept) from None
+            yield
+        except BaseException as error:
+            said = f"{self._plan.name}: ended by {type(error).__name__}: {error}"
+            warn("end", said, **of, outcome=type(error).__name__)
+            raise
         finally:
             self._progress.finish()
-        if self._crashes:
-            raise CrashReport(self._crashes, kept=self._kept)
-        return Results(self._plan, tuple(series for unit in self._units for series in unit.series()))
+        tell("end", f"{self._plan.name}: all {total} trials are there", **of, outcome="finished")
 
     def _described(self) -> dict[str, Any]:
         """What the keys stand for."""
@@ -171,7 +201,8 @@ class _Run:
             chunk = next(self._chunks, None)
             if chunk is None:
                 return
-            of = self._plan.seed, self._plan.perturbation
+            of = self._plan.seed, self._plan.perturbation, self._limit
+            self._progress.begins(chunk.described())
             future = self._executor.submit(timed, chunk.case.data, chunk.jobs(), chunk.wanted(), *of)
             self._pending[future] = chunk
 
@@ -183,9 +214,13 @@ class _Run:
             chunk = self._pending.pop(future)
             chunk.case.seconds = seconds / len(chunk.trials)
             self._keep(chunk, outcomes)
+            self._progress.ends(chunk.described())
+            said = f"{self._plan.name}: {chunk.described()}: {seconds:.3f} s"
+            tell("chunk", said, config=self._plan.name, **chunk.fields(), seconds=round(seconds, 6))
 
     def _stop(self) -> None:
         """Give up what no worker has begun, and keep what is in flight."""
+        warn("interrupt", f"{self._plan.name}: interrupted", config=self._plan.name)
         for future in [future for future in self._pending if future.cancel()]:
             del self._pending[future]
         if self._pending:
@@ -198,15 +233,27 @@ class _Run:
         finished = 0
         for task, outcome in zip(chunk.tasks, outcomes, strict=True):
             unit = task.of.unit
-            for name, scores in zip(task.metrics, outcome.scores, strict=True):
+            late: dict[int, str] = {}
+            for name, scores, of_late in zip(task.metrics, outcome.scores, outcome.late, strict=True):
                 rows.append((task.of.keys[name], scores))
                 task.of.put(name, scores)
-            self._crashes += [
-                Crash(unit, trial, *outcome.crashes[trial]) for trial in sorted(outcome.crashes)
-            ]
+                task.of.put(name, of_late, stored=False)
+                late |= of_late.failures
+            for trial in sorted(late):
+                self._fault("timed out", unit, trial, late[trial])
+            for trial in sorted(outcome.crashes):
+                self._crashes.append(Crash(unit, trial, *outcome.crashes[trial]))
+                self._fault("crash", unit, trial, outcome.crashes[trial].error)
+            self._late += len(late)
             finished += len(task.trials) - len(outcome.crashes)
         self._store.add({}, rows)
         self._progress.advance(finished)
+
+    def _fault(self, event: str, unit: Unit, trial: int, reason: str) -> None:
+        """Tell the log what went wrong in a trial."""
+        said = f"{self._plan.name}: trial {trial} of {unit.described()}: {reason}"
+        of = {"config": self._plan.name, "case": unit.labels, "estimator": unit.name, "trial": trial}
+        warn(event, said, **of, reason=reason)
 
 
 @contextmanager

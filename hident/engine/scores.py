@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -56,13 +56,13 @@ class Scores:
                 yield self if last - first == len(self.trials) else self.of(slice(first, last))
 
 
-def gathered(trials: Sequence[int], scores: Sequence[Array | str], labels: int) -> Scores:
+def gathered(found: Mapping[int, Array | str], labels: int) -> Scores:
     """The scores of trials, each of which has its values or failed for a reason."""
-    values = np.full((len(trials), labels), np.nan)
+    values = np.full((len(found), labels), np.nan)
     failures = {}
-    for row, (trial, one) in enumerate(zip(trials, scores, strict=True)):
+    for row, (trial, one) in enumerate(found.items()):
         if isinstance(one, str):
             failures[trial] = one
         else:
             values[row] = one
-    return Scores(np.array(trials, dtype=np.int64), values, failures)
+    return Scores(np.array([*found], dtype=np.int64), values, failures)

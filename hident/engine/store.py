@@ -312,14 +312,14 @@ class Reader:
                 yield scores
 
     def counted(self, key: str, below: int) -> Count:
-        """How many trials of a key are stored, by what the blocks are said to hold: without reading them.
+        """How many trials with numbers under ``below`` are stored, by what is said of blocks: none is read.
 
-        Of a block that goes beyond ``below`` all trials count.
+        Of a block that goes beyond ``below`` all failures count, as far as there are so many trials.
         """
-        query = "SELECT TOTAL(count), TOTAL(failed) FROM blocks WHERE key = ? AND first < ?"
-        return next(
-            (Count(int(trials), int(failed)) for trials, failed in self._rows(query, key, below)), Count(0, 0)
-        )
+        query = "SELECT TOTAL(MIN(count, ? - first)), TOTAL(failed) FROM blocks WHERE key = ? AND first < ?"
+        for trials, failed in self._rows(query, below, key, below):
+            return Count(int(trials), int(min(failed, trials)))
+        return Count(0, 0)
 
     def count(self) -> int:
         """How many scores there are: one for each trial and metric."""

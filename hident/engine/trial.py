@@ -16,6 +16,7 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, Spec, canonical
+from hident.engine.clock import Clock, Limit, TookTooLong
 from hident.engine.scores import Scores, gathered
 from hident.errors import EstimationError, TrialFailed
 from hident.estimators.base import Batched, EstimatorSpec, is_batched
@@ -108,11 +109,12 @@ class Outcome:
     """What one job gave in its trials: the scores of each of its metrics.
 
     A trial that crashed, in the estimate or in a metric, has no scores there, and its first crash is among
-    ``crashes``.
+    ``crashes``. Trials that the clock ended are in ``late`` instead, as scores that failed.
     """
 
     scores: tuple[Scores, ...]
     crashes: Mapping[int, Crash]
+    late: tuple[Scores, ...]
 
 
 def generate(data: Data, seed: int, trial: int, perturbation: int = 0) -> Record:
@@ -208,45 +210,55 @@ def estimate(data: Data, job: Job, record: Record, seed: int, trial: int) -> Est
 
 
 def run_trials(
-    data: Data, jobs: Sequence[Job], wanted: Sequence[Sequence[int]], seed: int, perturbation: int = 0
+    data: Data,
+    jobs: Sequence[Job],
+    wanted: Sequence[Sequence[int]],
+    seed: int,
+    perturbation: int = 0,
+    limit: Limit | None = None,
 ) -> list[Outcome]:
     """Run each job in the trials that it is wanted for, which rise: its outcome.
 
     A failure or a crash does not end the others, so that what was computed can be kept. The numbers do not
-    depend on which trials run together.
+    depend on which trials run together. With a limit, each record, estimate and score of a trial is ended
+    that takes longer.
     """
-    with np.errstate(all="ignore"):
-        made = _records(data, seed, sorted({trial for trials in wanted for trial in trials}), perturbation)
+    with np.errstate(all="ignore"), Clock(limit) as clock:
+        trials = sorted({trial for of in wanted for trial in of})
+        made = _records(data, seed, trials, perturbation, clock)
         records = {trial: record for trial, record in made.items() if isinstance(record, Record)}
         failed = {trial: error for trial, error in made.items() if isinstance(error, BaseException)}
         outcomes = []
-        for job, trials in zip(jobs, wanted, strict=True):
-            there = {trial: records[trial] for trial in trials if trial in records}
-            found = {**failed, **_estimates(data, job, there, seed)}
-            outcomes.append(_outcome(job, {trial: found[trial] for trial in trials}, records))
+        for job, of in zip(jobs, wanted, strict=True):
+            there = {trial: records[trial] for trial in of if trial in records}
+            found = {**failed, **_estimates(data, job, there, seed, clock)}
+            outcomes.append(_outcome(job, {trial: found[trial] for trial in of}, records, clock))
     return outcomes
 
 
 def _outcome(
-    job: Job, found: Mapping[int, Estimate | BaseException], records: Mapping[int, Record]
+    job: Job, found: Mapping[int, Estimate | BaseException], records: Mapping[int, Record], clock: Clock
 ) -> Outcome:
     crashes: dict[int, Crash] = {}
-    scores = []
+    scores, late = [], []
     for metric in job.metrics:
         scored = {
-            trial: _score(metric, one, records[trial]) if isinstance(one, Estimate) else _failed(one)
+            trial: _score(metric, one, records[trial], clock) if isinstance(one, Estimate) else _failed(one)
             for trial, one in found.items()
         }
-        kept = {trial: one for trial, one in scored.items() if not isinstance(one, Crash)}
         crashes = {trial: one for trial, one in scored.items() if isinstance(one, Crash)} | crashes
-        scores.append(gathered([*kept], [*kept.values()], len(metric.labels(""))))
-    return Outcome(tuple(scores), crashes)
+        ended = {trial: str(one) for trial, one in scored.items() if isinstance(one, _Late)}
+        kept = {trial: one for trial, one in scored.items() if not isinstance(one, Crash | _Late)}
+        labels = len(metric.labels(""))
+        scores.append(gathered(kept, labels))
+        late.append(gathered(ended, labels))
+    return Outcome(tuple(scores), crashes, tuple(late))
 
 
-def _attempt(make: Callable[[], T]) -> T | BaseException:
+def _attempt(make: Callable[[], T], clock: Clock) -> T | BaseException:
     """What is made, or what was raised instead."""
     try:
-        return make()
+        return clock.limited(make)
     except KeyboardInterrupt:
         raise
     # Whatever a component raises, SystemExit and GeneratorExit too, must not end the run.
@@ -255,11 +267,11 @@ def _attempt(make: Callable[[], T]) -> T | BaseException:
 
 
 def _records(
-    data: Data, seed: int, trials: Sequence[int], perturbation: int
+    data: Data, seed: int, trials: Sequence[int], perturbation: int, clock: Clock
 ) -> dict[int, Record | BaseException]:
     """The records of the trials, or what was raised; where the input is fixed, they are simulated once."""
     once = cache(lambda: _simulated(data, seed, 0)) if data.streams.is_fixed("input") else None
-    noises = _attempt(lambda: data.streams.generators("noise", seed, data.key, trials))
+    noises = _attempt(lambda: data.streams.generators("noise", seed, data.key, trials), clock)
 
     def record(place: int, trial: int) -> Record:
         simulated = once() if once else _simulated(data, seed, trial)
@@ -270,27 +282,32 @@ def _records(
             noise = noises[place]
         return _measured(data, simulated, noise, seed, trial, perturbation)
 
-    return {trial: _attempt(partial(record, place, trial)) for place, trial in enumerate(trials)}
+    return {trial: _attempt(partial(record, place, trial), clock) for place, trial in enumerate(trials)}
 
 
 def _estimates(
-    data: Data, job: Job, records: Mapping[int, Record], seed: int
+    data: Data, job: Job, records: Mapping[int, Record], seed: int, clock: Clock
 ) -> dict[int, Estimate | BaseException]:
     """The estimates from the records, or what was raised."""
     alone = partial(estimate, data, job, seed=seed)
 
     def apart(trials: Iterable[int]) -> dict[int, Estimate | BaseException]:
-        return {trial: _attempt(partial(alone, record=records[trial], trial=trial)) for trial in trials}
+        return {
+            trial: _attempt(partial(alone, record=records[trial], trial=trial), clock) for trial in trials
+        }
 
     if not (is_batched(job.estimator) and records):
         return apart(records)
-    together = _attempt(partial(_together, job.estimator, records))
+    together = _attempt(partial(_together, job.estimator, records), clock)
     if not isinstance(together, BaseException):
         wrong = _otherwise(together, apart({_CHECKED} & together.keys() if len(together) > 1 else ()))
         return dict.fromkeys(records, wrong) if wrong else {**together}
+    late = isinstance(together, TookTooLong)
+    if late and len(records) == 1:
+        return dict.fromkeys(records, together)
     found = apart(records)
-    # Where no record by itself explains the error, it is that of fit_many.
-    own = all(isinstance(one, Estimate) for one in found.values())
+    # Where no record by itself explains the error, it is that of fit_many; but the clock is for one trial.
+    own = not late and all(isinstance(one, Estimate) for one in found.values())
     return dict.fromkeys(records, together) if own else found
 
 
@@ -314,6 +331,8 @@ def _otherwise(
 ) -> ValueError | None:
     """What is wrong where ``fit_many`` gives other values of a record than ``fit``."""
     for trial, by_itself in apart.items():
+        if isinstance(by_itself, TookTooLong):
+            continue
         one, other = (
             {name: repr(float(value)) for name, value in found.values.items()}
             if isinstance(found, Estimate)
@@ -328,10 +347,16 @@ def _otherwise(
     return None
 
 
-def _score(metric: MetricSpec, found: Estimate, record: Record) -> Array | str | Crash:
+class _Late(str):
+    """Why a trial failed that the clock ended."""
+
+    __slots__ = ()
+
+
+def _score(metric: MetricSpec, found: Estimate, record: Record, clock: Clock) -> Array | str | Crash:
     """The values of a metric; or why it failed; or its crash."""
     try:
-        return _numbers(metric, found, record)
+        return clock.limited(partial(_numbers, metric, found, record))
     except KeyboardInterrupt:
         raise
     except BaseException as error:
@@ -348,7 +373,7 @@ def _numbers(metric: MetricSpec, found: Estimate, record: Record) -> Array:
 def _failed(error: BaseException, prefix: str = "") -> str | Crash:
     """The reason, if the error is a result."""
     if isinstance(error, FAILURES):
-        return prefix + reason(error)
+        return (_Late if isinstance(error, TookTooLong) else str)(prefix + reason(error))
     said = f"{type(error).__name__}: {_text(error)}"
     return Crash(said, _encodable("".join(traceback.format_exception(error))))
 

@@ -27,6 +27,7 @@ class _Gathered:
         self.labels = labels
         self.there = np.zeros(trials, dtype=bool)
         self._key, self._store = key, store
+        self._not_stored: list[Scores] = []
         self._failures: dict[int, str] = {}
         self._held = (
             Scores(np.arange(trials), np.full((len(labels), trials), np.nan).T, self._failures)
@@ -39,10 +40,12 @@ class _Gathered:
         for scores in self._store.trials(self._key, len(self.there)):
             self.put(scores)
 
-    def put(self, scores: Scores) -> None:
-        """Take these scores."""
+    def put(self, scores: Scores, *, stored: bool = True) -> None:
+        """Take these scores, which the store has too or not."""
         self._check(scores)
         self.there[scores.trials] = True
+        if not stored:
+            self._not_stored.append(scores)
         if self._held is not None:
             self._held.values[scores.trials] = scores.values
             self._failures.update(scores.failures)
@@ -58,7 +61,7 @@ class _Gathered:
             yield self._held
             return
         missing = np.ones(len(self.there), dtype=bool)
-        for scores in self._store.trials(self._key, len(self.there)):
+        for scores in itertools.chain(self._store.trials(self._key, len(self.there)), self._not_stored):
             self._check(scores)
             part = scores.where(missing[scores.trials])
             missing[part.trials] = False
@@ -110,9 +113,9 @@ class UnitTrials:
         for gathered in self._gathered.values():
             gathered.read()
 
-    def put(self, name: str, scores: Scores) -> None:
-        """Take scores of the metric of this name."""
-        self._gathered[name].put(scores)
+    def put(self, name: str, scores: Scores, *, stored: bool = True) -> None:
+        """Take scores of the metric of this name, which the store has too or not."""
+        self._gathered[name].put(scores, stored=stored)
 
     def complete(self) -> int:
         """How many trials have the scores of all metrics."""

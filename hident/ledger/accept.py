@@ -91,6 +91,12 @@ def _files(ours: Path, config: str) -> set[PurePath]:
     if undrawn := folder.undrawn():
         names = one_of(undrawn)
         raise ConfigError(f"{ours} lacks {names}, which could not be drawn: hident run {config}")
+    if count := folder.timed_out():
+        trials = f"{count} trial{'s' * (count != 1)}"
+        raise ConfigError(
+            f"{ours} lacks {trials}, which the trial timeout ended: hident run {config}, without it or with "
+            "a longer one"
+        )
     if not (listed := folder.files()):
         raise ConfigError(f"{path} does not list the files of a run: hident run {config}")
     files = {PurePath(name) for name in (RUN, *listed)}

@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import hident
@@ -29,7 +30,7 @@ from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, misfit
 from hident.reports.scoring import scoring
 from hident.reports.style import style, typeset
 from hident.reports.tables.writing import failures, written
-from hident.run_folder import RunFolder, State
+from hident.run_folder import RunFolder, State, phase
 
 _PACKAGES = ("numpy", "scipy", "finufft", "pandas", "matplotlib", "pydantic")
 
@@ -62,12 +63,17 @@ class Outputs:
         """Whether the folder holds, unaltered, what a run of the plan writes."""
         return RunFolder(self.folder).state(self.key)
 
-    def write(self, results: Results, run: Mapping[str, Any]) -> tuple[str, ...]:
-        """Write tables, figures, verdicts and run.json; ``run`` joins the provenance.
+    def write(
+        self, results: Results, run: Mapping[str, Any], seconds: Mapping[str, float] = MappingProxyType({})
+    ) -> tuple[str, ...]:
+        """Write tables, figures, verdicts and run.json.
+
+        ``run`` joins the provenance, and ``seconds`` those of its phases.
 
         Returns a message for each figure that cannot be drawn, such as one with a label that is no
-        mathematics: all else is written, and run.json lists the files of the figures as ``undrawn``.
-        Whatever else a figure raises is a fault, and is raised when all else is written.
+        mathematics: all else is written, and run.json lists the files of the figures as ``undrawn``. It
+        counts the trials that the trial timeout ended as ``timed_out``. Whatever else a figure raises is a
+        fault, and is raised when all else is written.
 
         Raises
         ------
@@ -76,22 +82,21 @@ class Outputs:
         ConfigError
             If a table or the verdicts ask for a printed number that does not exist.
         """
-        verdicts, plan = judge(results), self.plan
-        tables = {
-            name: spec.build(results, verdicts)
-            for name, spec in plan.experiment.tables.items()
-            if isinstance(spec, TableSpec)
-        }
+        plan, seconds = self.plan, dict(seconds)
         with RunFolder(self.folder).renewed() as new:
-            files = _write_tables(results, verdicts, tables, new)
-            undrawn = _write_figures(results, verdicts, new.path)
+            with phase(seconds, "tables"):
+                verdicts = judge(results)
+                files = _write_tables(results, verdicts, new)
+            with phase(seconds, "figures"):
+                undrawn = _write_figures(results, verdicts, new.path)
             files += [figure_file(name) for name in plan.experiment.figures if name not in undrawn]
             new.seal(
                 {
                     "experiment": _described(plan),
                     "files": sorted(files),
                     **({"undrawn": sorted(map(figure_file, undrawn))} if undrawn else {}),
-                    "provenance": {**_provenance(plan), **run, "key": self.key},
+                    **({"timed_out": _timed_out(results)} if results.timed_out else {}),
+                    "provenance": {**_provenance(plan), **run, "seconds": seconds, "key": self.key},
                 }
             )
         for error in undrawn.values():
@@ -172,9 +177,12 @@ def _differences(verdicts: Sequence[Verdict]) -> list[str]:
     ]
 
 
-def _write_tables(
-    results: Results, verdicts: Sequence[Verdict], tables: Mapping[str, Table], folder: RunFolder
-) -> list[str]:
+def _write_tables(results: Results, verdicts: Sequence[Verdict], folder: RunFolder) -> list[str]:
+    tables = {
+        name: spec.build(results, verdicts)
+        for name, spec in results.plan.experiment.tables.items()
+        if isinstance(spec, TableSpec)
+    }
     texts = {TABLE: results.frame().to_csv(index=False, lineterminator="\n")}
     for name, table in tables.items():
         if table.data is not None:
@@ -218,6 +226,11 @@ def _described(plan: Plan) -> dict[str, Any]:
         "trials": plan.trials,
         "resolved": resolved,
     }
+
+
+def _timed_out(results: Results) -> dict[str, Any]:
+    """The trials that the clock ended, in run.json."""
+    return {"trials": results.timed_out, "trial_timeout": results.plan.trial_timeout}
 
 
 def _provenance(plan: Plan) -> dict[str, Any]:

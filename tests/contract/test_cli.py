@@ -187,12 +187,13 @@ def _tick() -> None:
     time.perf_counter = map(float, itertools.count()).__next__
 
 
-def test_the_wall_time_is_in_seconds_and_holds_all_trials(done: Lab) -> None:
+def test_the_seconds_of_each_phase_are_in_run_json(done: Lab) -> None:
     done.forget()
     done.run("-q", preexec_fn=_tick)
     provenance = json.loads((done.folder / "out/tiny/run.json").read_text())["provenance"]
     # As a trial takes more than a quarter of a second, each is a chunk, and read before and after.
-    assert provenance["wall_seconds"] == 2 * 12 + 1
+    phases = {"records checked": 1, "trials": 2 * 12 + 1, "tables": 1, "figures": 1}
+    assert provenance["seconds"] == phases
 
 
 def test_rerun_does_nothing_and_a_title_rewrites_without_a_trial(done: Lab) -> None:
@@ -331,7 +332,7 @@ def test_lines_in_a_log_have_the_rate_and_the_time_left(capsys: pytest.CaptureFi
     lines.finish()
     assert capsys.readouterr().err.splitlines() == [
         "tiny: 100 trials, 20 of them stored",
-        "tiny: 42/100 trials, 2 a second, 29 s left",
+        "tiny: 42/100 trials, 2 trials/s, 29 s left",
         "tiny: 50/100 trials done, 12.0 s",
     ]
 

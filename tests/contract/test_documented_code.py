@@ -4,6 +4,7 @@ import re
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 
@@ -30,6 +31,9 @@ ADDED = {
     "hident validate": "my.yaml",
     "hident run": "my.yaml --set excitation.high=2*pi --trials 20 --jobs 1 --out overridden",
     "hident status": "my.yaml --trials 2 --out mine",
+    "hident status --watch": "my.yaml --trials 2",
+    "hident run --log run.log": "my.yaml --trials 2 --jobs 1 --out logged",
+    "hident run --trial-timeout 60": "my.yaml --trials 2 --jobs 1 --out limited",
     "hident compare": "mine mine",
     "hident verify": "results",
     "hident export": "my.yaml trials.csv --trials 2",
@@ -62,6 +66,9 @@ def test_the_commands_run(folder):
     assert "--set excitation.high=2*pi --trials 20" in README
     assert "|    2000 |" in said["hident run my.yaml"]
     assert "up to date" in said["hident status"]
+    assert said["hident status --watch"].startswith("my: 8/8 trials, done\n")
+    assert 'pandas.read_json("run.log", lines=True)' in README
+    assert pd.read_json(folder / "run.log", lines=True)["event"].tolist() == ["start", "end", "outputs"]
 
 
 def test_an_axis_is_a_variable_and_a_label_sets_several_values(folder):

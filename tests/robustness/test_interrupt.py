@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+
+from tests.forked import GUARD_SECONDS
 
 if TYPE_CHECKING:
     from tests.conftest import Lab
@@ -64,6 +67,8 @@ def test_first_interrupt_of_a_pool_keeps_what_is_in_flight(held: Lab, uninterrup
 def test_second_interrupt_of_a_pool_stops_at_once(held: Lab) -> None:
     process = held.start("run", "tiny.yaml", "--jobs", "2")
     held.await_((held.folder / "reached").exists)
+    # Both cases are begun together.
+    held.await_(held.trials)
     os.killpg(process.pid, signal.SIGINT)
     held.await_(lambda: "Ctrl-C again stops at once" in held.log)
     os.killpg(process.pid, signal.SIGINT)
@@ -96,6 +101,59 @@ def test_interrupt_of_a_serial_run(held: Lab, uninterrupted: bytes) -> None:
     (held.folder / "hold").unlink()
     held.run("-q")
     assert held.table == uninterrupted
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_interrupts_end_estimates_that_never_end(lab: Lab, jobs: str) -> None:
+    lab.probe("Path('reached').touch()\nwhile True:\n    np.linalg.inv(np.eye(9))")
+    process = lab.start("run", "tiny.yaml", "--jobs", jobs)
+    lab.await_((lab.folder / "reached").exists)
+    os.killpg(process.pid, signal.SIGINT)
+    if jobs != "1":
+        lab.await_(lambda: "Ctrl-C again stops at once" in lab.log)
+        os.killpg(process.pid, signal.SIGINT)
+    assert process.wait() == 130
+    assert "Traceback" not in lab.log
+    lab.await_alone()
+
+
+_SCRIPT = """
+import os, signal, threading, time
+from pathlib import Path
+import hident as hi
+
+def interrupt():
+    while not Path("reached").exists():
+        time.sleep(0.01)
+    os.kill(os.getpid(), signal.SIGINT)
+    # The first one brings Python's own handler back.
+    while signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        time.sleep(0.01)
+    os.kill(os.getpid(), signal.SIGINT)
+
+if __name__ == "__main__":
+    threading.Thread(target=interrupt, daemon=True).start()
+    try:
+        hi.run("tiny.yaml", executor=2)
+    except KeyboardInterrupt:
+        print("interrupted")
+"""
+
+
+def test_second_interrupt_of_a_script_ends_estimates_that_never_end(lab: Lab) -> None:
+    lab.probe("Path('reached').touch()\nwhile True:\n    pass")
+    lab.configure(plugins=["probe.py"])
+    (lab.folder / "script.py").write_text(_SCRIPT, encoding="utf-8")
+    said = subprocess.run(
+        [sys.executable, "script.py"],
+        cwd=lab.folder,
+        capture_output=True,
+        text=True,
+        timeout=GUARD_SECONDS,
+        check=True,
+    )
+    assert said.stdout == "interrupted\n"
+    lab.await_alone()
 
 
 def test_interrupt_while_outputs_are_written_leaves_the_old_ones(lab: Lab) -> None:

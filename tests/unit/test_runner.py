@@ -43,19 +43,27 @@ class Told:
     total: int = 0
     stored: int = 0
     done: int = 0
-    ends: list[str] = field(default_factory=list)
+    begun: list[str] = field(default_factory=list)
+    came_back: list[str] = field(default_factory=list)
+    ended: list[str] = field(default_factory=list)
 
     def start(self, total: int, stored: int) -> None:
         self.total, self.stored = total, stored
+
+    def begins(self, work: str) -> None:
+        self.begun.append(work)
+
+    def ends(self, work: str) -> None:
+        self.came_back.append(work)
 
     def advance(self, trials: int) -> None:
         self.done += trials
 
     def stopping(self) -> None:
-        self.ends.append("stopping")
+        self.ended.append("stopping")
 
     def finish(self) -> None:
-        self.ends.append("finished")
+        self.ended.append("finished")
 
 
 def _plan(lab: Lab, **changes: Any) -> Plan:
@@ -108,7 +116,7 @@ _REAL: dict[str, Any] = {
 def test_same_bytes_by_one_worker_two_workers_threads_and_any_order(lab: Lab) -> None:
     plan = _plan(lab, **_REAL)
     serial, told = _run(lab, plan)
-    assert (told.total, told.stored, told.done, told.ends) == (24, 0, 24, ["finished"])
+    assert (told.total, told.stored, told.done, told.ended) == (24, 0, 24, ["finished"])
     expected = _bytes(lab, plan)
     assert [len(trials) for trials in expected.values()] == [6] * 4
 
@@ -207,8 +215,17 @@ def test_interrupt_stores_what_is_in_flight(lab: Lab) -> None:
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, before)
-    assert told.ends == ["stopping", "finished"]
+    assert told.ended == ["stopping", "finished"]
     assert _count(lab) == executor.calls * 2 == told.done
+
+
+def test_the_first_trial_of_every_case_comes_first(lab: Lab) -> None:
+    plan = _plan(lab, cases={"samples": [50, 60, 70]}, trials=3, tables={})
+    _, told = _run(lab, plan)
+    first, rest = told.begun[:3], told.begun[3:]
+    assert first == [f"trial 0 of 'known', 'iv' at samples {samples}" for samples in (50, 60, 70)]
+    assert not any(work.startswith("trial 0 ") for work in rest)
+    assert told.begun == told.came_back
 
 
 def test_chunks_grow_to_about_a_quarter_of_a_second(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:

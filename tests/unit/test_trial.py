@@ -11,6 +11,7 @@ import pytest
 from hident import plugins
 from hident.arrays import Array
 from hident.config.spec import component
+from hident.engine.clock import Limit
 from hident.engine.experiment import load
 from hident.engine.trial import Data, Job, digest, generate
 from hident.errors import EstimationError, SimulationError
@@ -279,6 +280,35 @@ def test_an_estimator_of_many_records_is_asked_for_all_and_fails_where_each_by_i
         failure = "" if y <= limit else "ZeroDivisionError: " if crash else f"{y:g} is too large"
         assert outcome.scores[0].failure == failure
         assert outcome.values[0] == y if y <= limit else np.isnan(outcome.values[0])
+
+
+class Endless(Together):
+    """Never ends where the last output is above the limit; or, of many records at once, always."""
+
+    only_together: bool = False
+
+    def fit_many(self, records: Sequence[Record]) -> list[Estimate | EstimationError]:
+        alone = len(records) == 1
+        while not (alone if self.only_together else all(record.y[-1] <= self.limit for record in records)):
+            pass
+        return super().fit_many(records)
+
+
+@pytest.mark.parametrize("only_together", [False, True])
+def test_a_batch_that_takes_too_long_is_made_trial_by_trial_under_the_clock(
+    lab: Lab, only_together: bool
+) -> None:
+    data = _plan(lab).units[0].data
+    last = [generate(data, 7, trial).y[-1] for trial in range(3)]
+    highest = max(last)
+    limit = highest if only_together else sorted(last)[1]
+    job = Job(Endless(limit=limit, only_together=only_together), _A)
+    outcomes = tried(data, [job], {t: [0] for t in range(3)}, 7, limit=Limit(1.0))
+    for outcome, y in zip(outcomes, last, strict=True):
+        (score,) = outcome.scores
+        assert score.late == (y == highest and not only_together)
+        assert score.failure == ("took longer than the trial timeout of 1 s" if score.late else "")
+        assert np.isnan(score.values[0]) if score.late else score.values[0] == y
 
 
 class Doubled(Together):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hident.arrays import Array
+from hident.engine.clock import Limit
 from hident.engine.trial import Data, Job, Outcome, run_trials
 
 
@@ -18,6 +19,7 @@ class Score:
     values: Array
     failure: str = ""
     crash: str = ""
+    late: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,19 +36,27 @@ class Tried:
         return np.concatenate([score.values for score in self.scores])
 
 
-def tried(data: Data, jobs: Sequence[Job], wanted: Mapping[int, Sequence[int]], seed: int) -> list[Tried]:
+def tried(
+    data: Data,
+    jobs: Sequence[Job],
+    wanted: Mapping[int, Sequence[int]],
+    seed: int,
+    limit: Limit | None = None,
+) -> list[Tried]:
     """What the jobs give in the trials that want them."""
     trials = [sorted(trial for trial, of in wanted.items() if job in of) for job in range(len(jobs))]
-    outcomes = run_trials(data, jobs, trials, seed)
+    outcomes = run_trials(data, jobs, trials, seed, limit=limit)
     return [_tried(job, trial, outcomes[job]) for trial, of in wanted.items() for job in of]
 
 
 def _tried(job: int, trial: int, outcome: Outcome) -> Tried:
     found = []
-    for scores in outcome.scores:
-        if trial in scores.trials:
-            [values] = scores.values[scores.trials == trial]
-            found.append(Score(values, scores.failures.get(trial, "")))
+    for scores, late in zip(outcome.scores, outcome.late, strict=True):
+        for of, is_late in ((scores, False), (late, True)):
+            if trial in of.trials:
+                [values] = of.values[of.trials == trial]
+                found.append(Score(values, of.failures.get(trial, ""), late=is_late))
+                break
         else:
             found.append(Score(np.empty(0), *outcome.crashes[trial]))
     return Tried(job, trial, found)
