@@ -10,16 +10,22 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from hident.engine.chunks import Chunk, all_chunks, timed
-from hident.engine.executors import SerialExecutor
+from hident.engine.chunks import Chunk, all_chunks
+from hident.engine.executors import Given, SerialExecutor, WorkerDied, Workers, WorkersGone
 from hident.engine.experiment import Plan, Unit
+from hident.engine.lost import Attempt, Queue
 from hident.engine.results import Results
 from hident.engine.store import MemoryStore, Store, Trial, TrialStore
 from hident.engine.trial import Outcome
 from hident.engine.unit_trials import UnitTrials
+from hident.engine.work import Done, Terms, compute
 from hident.errors import TrialsCrashed
 
 _POLL_SECONDS = 0.1
+# So long an executor that is broken may take to say what becomes of each call.
+_SECONDS_TO_BREAK = 60
+# So often in a row workers may be lost while they have nothing to do.
+_IDLE_LOSSES = 3
 
 
 class Progress(Protocol):
@@ -71,7 +77,7 @@ def run(
     executor : Executor, optional
         Where trials are computed; this process by default.
     workers : int
-        How many calls the executor makes at once.
+        How many calls the executor makes at once, if it is none of :mod:`hident.engine.executors`.
     keep_going : bool
         Whether the other trials are computed after a crash.
     progress : Progress, optional
@@ -80,8 +86,10 @@ def run(
     Raises
     ------
     TrialsCrashed
-        If a trial ended in an error that is not a result, or a worker process with its trials; finished ones
-        are kept if there is a store.
+        If a trial ended in an error that is not a result, or three worker processes with it, or if there are
+        no workers any more; finished ones are kept if there is a store.
+    ConfigError
+        If a worker lacks what it must have in common with this process.
     StoreError
         If the store cannot be used.
     KeyboardInterrupt
@@ -89,9 +97,11 @@ def run(
     """
     kept = store is not None
     store = MemoryStore() if store is None else store
-    return _Run(
-        plan, store, kept, executor or SerialExecutor(), workers, keep_going, progress or Silent()
-    ).results()
+    if executor is None:
+        executor = SerialExecutor()
+    elif not isinstance(executor, Workers):
+        executor = Given(executor, workers, Terms.anywhere(plan.plugin_files, [plan]))
+    return _Run(plan, store, kept, executor, keep_going, progress or Silent()).results()
 
 
 class _Run:
@@ -102,18 +112,17 @@ class _Run:
         plan: Plan,
         store: TrialStore,
         kept: bool,
-        executor: Executor,
-        workers: int,
+        workers: Workers,
         keep_going: bool,
         progress: Progress,
     ) -> None:
         self._plan, self._store, self._kept = plan, store, kept
-        self._executor, self._workers = executor, workers
-        self._keep_going, self._progress = keep_going, progress
+        self._workers, self._keep_going, self._progress = workers, keep_going, progress
         self._units = [UnitTrials(*of, plan.trials) for of in zip(plan.units, plan.keys, strict=True)]
         # Made one by one, as they are asked for.
-        self._chunks = all_chunks(self._units)
-        self._pending: dict[Future[tuple[list[Outcome], float]], Chunk] = {}
+        self._queue = Queue(all_chunks(self._units))
+        self._pending: dict[Future[Done], Attempt] = {}
+        self._idle_losses = 0
         self._crashes: list[Crash] = []
 
     def results(self) -> Results:
@@ -127,6 +136,10 @@ class _Run:
             self._compute()
         except BrokenExecutor:
             raise WorkerEnded(kept=self._kept) from None
+        except WorkersGone as gone:
+            raise TrialsCrashed(
+                f"{gone}, and its workers with it.\n{_fate(kept=self._kept)}: run again."
+            ) from None
         finally:
             self._progress.finish()
         if self._crashes:
@@ -135,9 +148,12 @@ class _Run:
 
     def _compute(self) -> None:
         """Go on until nothing is missing, or a crash or Ctrl-C ends it."""
+        if not self._queue:
+            return
+        self._workers.start()
         # Alone, this process is inside a trial at Ctrl-C, and need not wait for another one.
         alone = nullcontext(threading.Event())
-        with _interrupt_deferred() if self._workers > 1 else alone as interrupted:
+        with _interrupt_deferred() if self._workers.most > 1 else alone as interrupted:
             self._submit()
             while self._pending and not interrupted.is_set():
                 self._collect()
@@ -147,24 +163,59 @@ class _Run:
                 raise KeyboardInterrupt
 
     def _submit(self) -> None:
-        # A worker finds its next chunk waiting while this process stores the last one.
-        most = 2 * self._workers if self._workers > 1 else 1
-        while len(self._pending) < most and (self._keep_going or not self._crashes):
-            chunk = next(self._chunks, None)
-            if chunk is None:
+        while len(self._pending) < self._workers.most and (self._keep_going or not self._crashes):
+            attempt = self._queue.take(len(self._pending))
+            if attempt is None:
                 return
-            of = self._plan.seed, self._plan.perturbation
-            future = self._executor.submit(timed, chunk.case.data, chunk.jobs(), chunk.wanted, *of)
-            self._pending[future] = chunk
+            chunk, of = attempt.chunk, (self._plan.seed, self._plan.perturbation)
+            try:
+                future = self._workers.submit(compute, chunk.case.data, chunk.jobs(), chunk.wanted, *of)
+            except BrokenExecutor:
+                self._queue.back(attempt)
+                self._renew()
+            else:
+                self._pending[future] = attempt
 
     def _collect(self) -> None:
         done = wait(self._pending, _POLL_SECONDS, FIRST_COMPLETED).done
-        # What is finished is stored before an error ends the run.
-        for future in sorted(done, key=lambda future: future.exception() is not None):
-            outcomes, seconds = future.result()
-            chunk = self._pending.pop(future)
-            chunk.case.seconds = seconds / len(chunk.wanted)
-            self._keep(chunk, outcomes)
+        self._take(done)
+        if any(isinstance(future.exception(), BrokenExecutor) for future in done):
+            self._renew()
+
+    def _take(self, futures: Iterable[Future[Done]]) -> None:
+        """Keep what is finished, before an error ends the run; leave what was lost with a broken executor."""
+        for future in sorted(futures, key=lambda future: future.exception() is not None):
+            try:
+                done = future.result()
+            except BrokenExecutor:
+                continue
+            except WorkerDied as died:
+                self._lost(self._pending.pop(future), died.deaths, "")
+                continue
+            chunk = self._pending.pop(future).chunk
+            chunk.case.seconds = done.seconds / len(chunk.wanted)
+            self._idle_losses = 0
+            self._workers.compare(done.arithmetic, done.worker)
+            self._keep(chunk, done.outcomes)
+
+    def _renew(self) -> None:
+        """Others take the place of the workers; whatever these had is lost with them."""
+        self._take(wait(self._pending, _SECONDS_TO_BREAK).done)
+        self._idle_losses += not self._pending
+        if self._idle_losses >= _IDLE_LOSSES:
+            raise BrokenExecutor
+        how = self._workers.renew()
+        lost = [*self._pending.values()]
+        self._pending.clear()
+        for attempt in lost:
+            self._lost(attempt, 1, how)
+        self._workers.start()
+
+    def _lost(self, attempt: Attempt, deaths: int, how: str) -> None:
+        if not self._queue.died(attempt, deaths):
+            [(task, _)], [trial] = attempt.chunk.tasks, attempt.chunk.wanted
+            said = f"its worker process ended abruptly{how and f' ({how})'}"
+            self._crashes.append(Crash(task.unit, trial, said, f"{said}\n"))
 
     def _stop(self) -> None:
         """Give up what no worker has begun, and keep what is in flight."""
@@ -223,6 +274,10 @@ def _interrupt_deferred() -> Iterator[threading.Event]:
         signal.signal(signal.SIGINT, usual)
 
 
+def _fate(*, kept: bool) -> str:
+    return "All finished trials are kept" if kept else "Without a store no trial is kept"
+
+
 @dataclass(frozen=True)
 class Crash:
     """An error in a trial that is not a result."""
@@ -263,10 +318,9 @@ class WorkerEnded(TrialsCrashed):
             ", or it ran the script that started it from the top, as each worker does, where the call is not "
             'under `if __name__ == "__main__":`'
         )
-        fate = "All finished trials are kept" if kept else "Without a store no trial is kept"
         super().__init__(
             "a worker process ended abruptly: it was killed, perhaps for want of memory, or an estimator "
-            f"ended it{script if in_python else ''}.\n{fate}: run again, with fewer "
+            f"ended it{script if in_python else ''}.\n{_fate(kept=kept)}: run again, with fewer "
             f"{'workers' if in_python else '--jobs'} if memory is short."
         )
         self.kept = kept

@@ -230,10 +230,10 @@ class Counting(Executor):
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
-        outcomes, seconds = fn(*args, **kwargs)
-        self.estimates += len(outcomes)
-        self.scores += sum(len(outcome.scores) for outcome in outcomes)
-        future.set_result((outcomes, seconds))
+        done = fn(*args, **kwargs)
+        self.estimates += len(done.outcomes)
+        self.scores += sum(len(outcome.scores) for outcome in done.outcomes)
+        future.set_result(done)
         return future
 
 
