@@ -60,9 +60,11 @@ class DaskExecutor(Workers):
         if not self._client.nthreads():
             self.tell(f"the scheduler at {self._address} has no workers: waiting for one")
             self._client.wait_for_workers(1)
-        asked = self._client.run(
-            unpickled, pickle.dumps(Call(self._terms, self._terms.met)), on_error="return"
-        )
+        check = pickle.dumps(Call(self._terms, self._terms.met))
+        try:
+            asked = self._client.run(unpickled, check, on_error="return")
+        except OSError as error:
+            raise WorkersGone(f"the scheduler at {self._address} is gone ({error})") from None
         # Whoever has left meanwhile is asked nothing.
         answers = {address: answer for address, answer in asked.items() if not isinstance(answer, OSError)}
         wrong = [
@@ -104,12 +106,13 @@ class DaskExecutor(Workers):
 async def _tell(client: Client, theirs: Any, future: Future[Any], address: str) -> None:
     """Hand on what becomes of a call."""
     from distributed import CancelledError, KilledWorker
+    from distributed.comm import CommClosedError
 
     try:
         future.set_result(await client.gather(theirs, asynchronous=True))
     except KilledWorker as killed:
         future.set_exception(WorkerDied(killed.allowed_failures + 1))
-    except CancelledError:
+    except (CancelledError, CommClosedError):
         # Nobody cancels a call, but the client cancels all when it loses the scheduler.
         future.set_exception(WorkersGone(f"the scheduler at {address} is gone"))
     except BaseException as error:
@@ -118,6 +121,12 @@ async def _tell(client: Client, theirs: Any, future: Future[Any], address: str) 
 
 def _unusable(error: Exception) -> str:
     return f"hident cannot be used there ({error})"
+
+
+def _be_silent() -> None:
+    """What goes wrong in Dask's own threads is told by what becomes of the calls."""
+    for name in ("distributed", "tornado", "asyncio"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 def require() -> None:
@@ -135,6 +144,7 @@ def local(workers: int, terms: Terms) -> Workers:
     def connect() -> Client:
         from distributed import Client, LocalCluster
 
+        _be_silent()
         cluster = LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
@@ -157,7 +167,7 @@ def joined(scheduler: str, terms: Terms) -> Workers:
     def connect() -> Client:
         from distributed import Client
 
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        _be_silent()
         try:
             return Client(address, timeout=_SECONDS_TO_CONNECT, set_as_default=False)
         except (OSError, ValueError) as error:
