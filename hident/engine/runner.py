@@ -148,6 +148,8 @@ class _Run:
 
     def _compute(self) -> None:
         """Go on until nothing is missing, or a crash or Ctrl-C ends it."""
+        # What an earlier run has met is not of this one.
+        self._workers.others.clear()
         if not self._queue:
             return
         self._workers.start()
