@@ -26,10 +26,10 @@ from hident.config.schema import json_schema
 from hident.config.spec import PLURALS, Of, canonical, components, plain
 from hident.config.suggest import one_of
 from hident.config.yaml12 import Place
-from hident.engine import runner
+from hident.engine import dask, runner
 from hident.engine.cases import DATA
 from hident.engine.cores import usable_cores
-from hident.engine.executors import make_executor
+from hident.engine.executors import Given, SerialExecutor, Workers, make_executor
 from hident.engine.expansion import not_given, unfit
 from hident.engine.experiment import Experiment, Plan
 from hident.engine.fingerprint import without_source
@@ -37,6 +37,7 @@ from hident.engine.preflight import check_records
 from hident.engine.results import Results
 from hident.engine.store import Store, TrialStore
 from hident.engine.trial import Data, Job, generate
+from hident.engine.work import Terms
 from hident.errors import ConfigError
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
@@ -47,6 +48,7 @@ from hident.systems.base import SystemSpec
 
 if TYPE_CHECKING:
     import pandas as pd
+    from distributed import Client
 
     from hident.doctor import Finding
     from hident.ledger.compare import Comparison
@@ -309,7 +311,7 @@ def run(
     trials: int | None = None,
     seed: int | None = None,
     store: str | Path | TrialStore | None = None,
-    executor: Executor | int | None = None,
+    executor: Executor | Client | int | None = None,
     trial_timeout: float | None = None,
     overrides: Mapping[str, Any] = _NONE,
 ) -> Results:
@@ -322,9 +324,10 @@ def run(
     store : str, Path or TrialStore, optional
         Folder of a trials store, such as ``.hident``, or any object that keeps trials: what it holds is not
         computed again. By default nothing is kept.
-    executor : Executor or int, optional
-        Where trials run: a number of worker processes, or any ``concurrent.futures.Executor``. By default
-        here. The numbers do not depend on it. A script that starts processes needs the usual
+    executor : Executor, Client or int, optional
+        Where trials run: a number of worker processes, any ``concurrent.futures.Executor``, or a
+        ``distributed.Client``, whose workers are compared with this process first. By default here. The
+        numbers do not depend on it. A script that starts processes needs the usual
         ``if __name__ == "__main__":``.
     trial_timeout : float, optional
         Seconds after which the simulation, an estimate or a metric of a trial is ended: the trial counts as
@@ -336,8 +339,8 @@ def run(
     ConfigError
         With all that is wrong, one line for each problem.
     TrialsCrashed
-        If a trial ended in an error that is not a result; the tracebacks are among its notes. Or if a worker
-        process ended abruptly, as in a script without the line above.
+        If a trial ended in an error that is not a result, or three worker processes with it; the tracebacks
+        are among its notes. Or if there are no workers, as in a script without the line above.
     StoreError, StoreBusy
         If the store cannot be used, or another run holds it.
 
@@ -381,19 +384,10 @@ def run(
             raise ConfigError(
                 f"store: must be a folder, or an object with the methods trials and add, not {store!r}"
             )
-        workers = 1
-        if isinstance(executor, Executor):
-            workers = usable_cores()
-        elif executor is not None and (not isinstance(executor, int) or isinstance(executor, bool)):
-            raise ConfigError(
-                "executor: must be a number of worker processes or a concurrent.futures.Executor, "
-                f"not {executor!r}"
-            )
-        elif executor is not None:
-            workers, executor = executor, make_executor(executor, plan.plugin_files)
-            stack.push(partial(_ended, executor))
         try:
-            return runner.run(plan, store=store, executor=executor, workers=workers)
+            workers = _workers(executor, plan)
+            stack.push(partial(_ended, workers))
+            return runner.run(plan, store=store, executor=workers)
         except runner.CrashReport as crash:
             crash.add_note(crash.tracebacks)
             raise
@@ -401,12 +395,29 @@ def run(
             raise runner.WorkerEnded(kept=ended.kept, in_python=True) from None
 
 
-def _ended(executor: Executor, kind: type[BaseException] | None, *_: object) -> None:
+def _ended(workers: Workers, kind: type[BaseException] | None, *_: object) -> None:
     """Let the workers that were made here end; at once where Ctrl-C left them at work, perhaps for ever."""
-    if kind is not None:
-        for worker in (getattr(executor, "_processes", None) or {}).values():
-            worker.kill()
-    executor.shutdown(cancel_futures=True)
+    if kind is None:
+        workers.shutdown()
+    else:
+        workers.kill()
+
+
+def _workers(executor: Executor | Client | int | None, plan: Plan) -> Workers:
+    """An executor as a run uses it; to shut it down ends what was made here only."""
+    if executor is None:
+        return SerialExecutor()
+    if isinstance(executor, int) and not isinstance(executor, bool):
+        return make_executor(executor, plan.plugin_files)
+    terms = Terms.anywhere(plan.plugin_files, [plan])
+    if dask.is_client(executor):
+        return dask.DaskExecutor(lambda: executor, terms, own=False)
+    if isinstance(executor, Executor):
+        return Given(executor, usable_cores(), terms)
+    raise ConfigError(
+        "executor: must be a number of worker processes, a concurrent.futures.Executor or a "
+        f"distributed.Client, not {executor!r}"
+    )
 
 
 def _require_source(plan: Plan) -> None:

@@ -63,6 +63,19 @@ Out = Annotated[Path, typer.Option("--out", help="Folder of the outputs.")]
 Jobs = Annotated[
     int | None, typer.Option("--jobs", "-j", min=1, help="Worker processes; the usable cores by default.")
 ]
+Workers = Annotated[
+    str | None,
+    typer.Option(
+        "--executor",
+        metavar="NAME",
+        help="Where trials run: processes (the default), dask, or MODULE:FACTORY of any "
+        "concurrent.futures.Executor.",
+    ),
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="A Dask scheduler that stands: tcp://HOST:PORT, or its file."),
+]
 Wait = Annotated[float, typer.Option(min=0, help="Seconds to wait while another run holds the store.")]
 TrialTimeout = Annotated[
     float | None,
@@ -216,6 +229,8 @@ def run(
     trials: Trials = None,
     seed: Seed = None,
     jobs: Jobs = None,
+    executor: Workers = None,
+    scheduler: Scheduler = None,
     out: Out = _OUT,
     store: StoreFolder = _STORE,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Finish the rest after a crash.")] = False,
@@ -233,7 +248,10 @@ def run(
     from hident.commands.running import bench
 
     plans = _plans(configs, assignments, trials, seed, plugin, trial_timeout)
-    with logging_to(log), bench(plans, out, store, wait, jobs, plugin or (), quiet) as place:
+    with (
+        logging_to(log),
+        bench(plans, out, store, wait, jobs, plugin or (), quiet, executor, scheduler) as place,
+    ):
         code = place.run(keep_going=keep_going)
     raise typer.Exit(code)
 

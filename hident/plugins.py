@@ -79,7 +79,7 @@ def _load_file(path: Path) -> None:
     path = path.resolve()
     if not path.is_file():
         raise ConfigError("no such file")
-    package = _package_of(path.parent)
+    package = package_of(path.parent)
     name = f"{package}.{path.stem}"
     if name in sys.modules:
         return
@@ -97,7 +97,7 @@ def _load_file(path: Path) -> None:
         raise
 
 
-def _package_of(folder: Path) -> str:
+def package_of(folder: Path) -> str:
     """The name of the package that a folder of plugin files serves as."""
     name = f"{_PACKAGE}{hashlib.sha256(str(folder).encode()).hexdigest()[:8]}"
     if name not in sys.modules:

@@ -21,7 +21,7 @@ import yaml
 from hypothesis import HealthCheck, settings
 
 from hident.engine.blocks import Block
-from hident.engine.executors import pin_blas
+from hident.engine.work import pin_blas
 from tests.forked import GUARD_SECONDS, Forked, run_forked
 
 # As in a run. On matrices of a few rows, BLAS's threads take several times the processor time of one.

@@ -5,16 +5,15 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hident import arithmetic
 from hident.engine.cores import usable_cores
-from hident.engine.executors import end, make_executor
+from hident.engine.executors import Workers, named_executor
 from hident.engine.experiment import Plan
 from hident.engine.log import tell, warn
 from hident.engine.preflight import check_records
@@ -40,8 +39,7 @@ class Bench:
     store: Path
     wait: float
     """How many seconds to wait for another run."""
-    executor: Executor
-    workers: int
+    workers: Workers
     quiet: bool
 
     def run(self, *, keep_going: bool) -> Exit:
@@ -103,12 +101,17 @@ class Bench:
                         check_records(plan)
                     with phase(seconds, "trials"):
                         results = self._trials(plan, writer, plan.name, keep_going=keep_going)
-                    undrawn = outputs.write(results, {"workers": self.workers}, seconds)
+                    undrawn = outputs.write(results, self._workers_used(), seconds)
                     note = f"{plan.name}: wrote {outputs.folder}"
         tell("outputs", note, config=plan.name)
         if not self.quiet:
             print(note, file=sys.stderr)
         return undrawn
+
+    def _workers_used(self) -> dict[str, Any]:
+        """How many there were, and which of them had another arithmetic than the one that run.json names."""
+        others = {"other_arithmetics": self.workers.others} if self.workers.others else {}
+        return {"workers": self.workers.count, **others}
 
     def _sensitivity(self, plan: Plan, perturbations: int, values: TrialValues) -> Sensitivity:
         """How many trials of a plan, whose values are given, move when their records are a last bit away."""
@@ -126,8 +129,7 @@ class Bench:
         results = run(
             plan,
             store=store,
-            executor=self.executor,
-            workers=self.workers,
+            executor=self.workers,
             keep_going=keep_going,
             progress=chosen(name, len(plan.units), quiet=self.quiet),
         )
@@ -149,16 +151,18 @@ def bench(
     jobs: int | None,
     plugin_files: Iterable[Path],
     quiet: bool,
+    executor: str | None = None,
+    scheduler: str | None = None,
 ) -> Iterator[Bench]:
     """A bench with workers, which end with it; Ctrl-C ends both, and the program, with a message."""
     if said := arithmetic.shortfall(arithmetic.in_use()):
         print(f"warning: {said}", file=sys.stderr)
-    workers = jobs or usable_cores()
-    named = [file for plan in plans for file in plan.plugin_files]
-    executor = make_executor(workers, dict.fromkeys([*plugin_files, *named]))
+    files = [*dict.fromkeys([*plugin_files, *(file for plan in plans for file in plan.plugin_files)])]
+    workers = named_executor(executor, scheduler, jobs or usable_cores(), files, plans)
+    workers.tell = lambda said: print(f"warning: {said}", file=sys.stderr)
     try:
-        yield Bench(plans, out, store, wait, executor, workers, quiet)
-        executor.shutdown()
+        yield Bench(plans, out, store, wait, workers, quiet)
+        workers.shutdown()
     except KeyboardInterrupt:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         print(
@@ -166,7 +170,7 @@ def bench(
         )
         raise SystemExit(Exit.INTERRUPTED) from None
     finally:
-        end(executor)
+        workers.kill()
 
 
 def check_finished(names: Iterable[str], out: Path) -> None:

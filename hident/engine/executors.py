@@ -1,11 +1,12 @@
-"""Where chunks of trials run: any ``concurrent.futures.Executor`` will do.
+"""Where chunks of trials run: this process, processes beside it, or any ``concurrent.futures.Executor``.
 
 BLAS is held to one thread everywhere, the serial executor included, so that the same bytes come out of every
-executor and every number of workers on one machine.
+executor and every number of workers on one machine. Dask's workers stand in :mod:`hident.engine.dask`.
 """
 
 from __future__ import annotations
 
+import importlib
 import multiprocessing
 import os
 import pickle
@@ -13,26 +14,100 @@ import signal
 import sys
 import tempfile
 import threading
+import warnings
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from contextlib import contextmanager
-from functools import cache
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import wait as wait_for
+from contextlib import ExitStack, contextmanager
 from multiprocessing import forkserver
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, TypeVar
 
 from hident import arithmetic, plugins
-from hident.engine.fingerprint import libraries
+from hident.config.suggest import did_you_mean
+from hident.engine.experiment import Plan
+from hident.engine.work import Call, Terms, pin_blas
 from hident.errors import ConfigError
 
 T = TypeVar("T")
+NAMES = ("processes", "dask")
+"""What an executor can be called, besides ``MODULE:FACTORY``."""
 # The address of a socket has at most 103 bytes, of which multiprocessing takes 32 for names of its own.
 _LONGEST_FOLDER = 70
+# So often in a row workers may be killed before one has begun anything.
+_STARTS = 3
+_SECONDS_TO_END = 5.0
 
 
-class SerialExecutor(Executor):
+class WorkerDied(Exception):
+    """So many workers died with a call, which no other one gets; the executor goes on."""
+
+    def __init__(self, deaths: int) -> None:
+        super().__init__(deaths)
+        self.deaths = deaths
+
+
+class WorkersGone(Exception):
+    """The workers are out of reach, all of them and for good."""
+
+
+class Workers(Executor):
+    """An executor as a run uses it: what it had begun when it broke can be begun again with others."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self.tell: Callable[[str], object] = warnings.warn
+        """Whom a warning is for."""
+        self.others: dict[str, str] = {}
+        """Arithmetics that are not that of this process, each with the first worker that had it."""
+
+    @property
+    def most(self) -> int:
+        """How many calls it is given at once; one if this process is inside it at Ctrl-C."""
+        # A worker finds its next chunk waiting while this process stores the last one.
+        return 2 * self.count if self.count > 1 else 1
+
+    def start(self) -> None:
+        """Let the workers be there, as far as that can be known, and be such as they must.
+
+        Raises
+        ------
+        BrokenExecutor
+            If none can begin anything.
+        ConfigError
+            If they cannot be used.
+        """
+
+    def renew(self) -> str:
+        """Put other workers in the place of those that broke the executor: how these ended, if that is known.
+
+        Raises
+        ------
+        BrokenExecutor
+            If there are no others.
+        """
+        raise BrokenExecutor
+
+    def kill(self) -> None:
+        """End now, whatever the workers are doing."""
+        self.shutdown(cancel_futures=True)
+
+    def compare(self, theirs: str, worker: str) -> None:
+        """Tell of an arithmetic that is not that of this process."""
+        if theirs != Terms.here(()).arithmetic and theirs not in self.others:
+            self.others[theirs] = worker
+            self.tell(
+                f"the worker on {worker} computes with another arithmetic than this process, so that last "
+                f"digits may differ within one result: '{theirs}' there, '{Terms.here(()).arithmetic}' here"
+            )
+
+
+class SerialExecutor(Workers):
     """Runs each call at once in this process: for one worker, and for debugging."""
+
+    def __init__(self) -> None:
+        super().__init__(1)
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         pin_blas()
@@ -44,58 +119,186 @@ class SerialExecutor(Executor):
         return future
 
 
-class PoolExecutor(ProcessPoolExecutor):
+class Given(Workers):
+    """An executor that somebody else has made, and ends."""
+
+    def __init__(self, executor: Executor, count: int, terms: Terms) -> None:
+        super().__init__(count)
+        self._executor, self._terms = executor, terms
+
+    def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+        return self._executor.submit(Call(self._terms, fn, *args, **kwargs))
+
+
+class Made(Workers):
+    """An executor that is made by a factory, and again by it where its workers are lost."""
+
+    def __init__(self, make: Callable[[], Executor], count: int, terms: Terms) -> None:
+        super().__init__(count)
+        self._make, self._terms = make, terms
+        self._executor: Executor | None = None
+
+    def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
+        # Pickled here, an error in that is one of this call.
+        call = pickle.dumps(Call(self._terms, fn, *args, **kwargs))
+        with _as_workers_start():
+            if self._executor is None:
+                self._executor = self._make()
+            return self._executor.submit(unpickled, call)
+
+    def start(self) -> None:
+        for left in reversed(range(_STARTS)):
+            try:
+                # One for each, so that all start at once; then the first that has begun will do.
+                begun = [self.submit(int) for _ in range(self.count)]
+                for future in wait_for(begun, return_when=FIRST_COMPLETED).done:
+                    future.result()
+            except BrokenExecutor:
+                if not self.renew().startswith("signal") or not left:
+                    raise
+            else:
+                return
+
+    def renew(self) -> str:
+        if self._executor is not None:
+            self._executor.shutdown(wait=False)
+            self._executor = None
+        return ""
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        # Not every executor can cancel, and none need: a run waits for what it has sent.
+        if self._executor is not None:
+            self._executor.shutdown(wait)
+
+    def kill(self) -> None:
+        for worker in multiprocessing.active_children():
+            worker.terminate()
+        self.shutdown(wait=False)
+
+
+class PoolExecutor(Made):
     """Processes that know the plugins; they ignore Ctrl-C, and end when their parent does."""
 
     def __init__(self, workers: int, plugin_files: tuple[Path, ...]) -> None:
+        super().__init__(self._pool, workers, Terms.here(plugin_files))
+        self._processes: set[multiprocessing.process.BaseProcess] = set()
+
+    def _pool(self) -> Executor:
         # Workers are started afresh: forking a process with threads (BLAS, a progress bar) may deadlock.
         method = "spawn" if sys.platform == "win32" else "forkserver"
         context = multiprocessing.get_context(method)
         if method == "forkserver":
             # Once for all workers; scipy.signal alone takes a second.
-            context.set_forkserver_preload(["hident.engine.trial", *plugins.built_in(), "scipy.signal"])
-        super().__init__(workers, mp_context=context, initializer=_start_worker)
-        self._plugin_files = plugin_files
-        # That of the keys.
-        self._arithmetic = libraries()["arithmetic"]
+            context.set_forkserver_preload(["hident.engine.work", *plugins.built_in(), "scipy.signal"])
+            forkserver.ensure_running()
+        return ProcessPoolExecutor(self.count, mp_context=context, initializer=_start_worker)
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
-        # Pickled here and unpickled within the call, an error in either is an exception of this call,
-        # where the pool itself would lose its workers.
+        if len(self._processes) == self.count:
+            return super().submit(fn, *args, **kwargs)
+        before = set(multiprocessing.active_children())
         try:
-            call = pickle.dumps((fn, args, kwargs))
-        except Exception as error:
-            raise ConfigError(
-                f"a component cannot be sent to worker processes ({error}): define its class at the top "
-                "level of its module, or run with --jobs 1"
-            ) from None
-        with _interrupts_blocked(), _short_socket_names(), arithmetic.handed_on():
-            if sys.platform != "win32":
-                forkserver.ensure_running()
-            return super().submit(_call, self._plugin_files, self._arithmetic, call)
+            return super().submit(fn, *args, **kwargs)
+        finally:
+            self._processes |= set(multiprocessing.active_children()) - before
+
+    def kill(self) -> None:
+        for worker in self._processes:
+            worker.kill()
+        if self._executor is not None:
+            self._executor.shutdown(cancel_futures=True)
+
+    def renew(self) -> str:
+        for process in self._processes:
+            # The pool ends those that are left, but not one that is stopped.
+            if not wait([process.sentinel], _SECONDS_TO_END):
+                process.kill()
+        if self._executor is not None:
+            self._executor.shutdown()
+        # 255 stands for what multiprocessing does not know.
+        codes = [process.exitcode for process in self._processes]
+        code = next((code for code in codes if code not in (None, 0, 255, -signal.SIGTERM)), 0)
+        self._processes = set()
+        super().renew()
+        return f"signal {-code}" if code < 0 else f"exit code {code}" if code else ""
 
 
-def make_executor(workers: int, plugin_files: Iterable[Path] = ()) -> Executor:
+def make_executor(workers: int, plugin_files: Iterable[Path] = ()) -> Workers:
     """A serial executor for one worker, else a pool of processes."""
     # This process fits a trial again for its figure.
     pin_blas()
     return SerialExecutor() if workers == 1 else PoolExecutor(workers, tuple(plugin_files))
 
 
-def end(executor: Executor) -> None:
-    """End an executor now, whatever its workers are doing."""
-    for worker in multiprocessing.active_children():
-        worker.kill()
-    executor.shutdown(cancel_futures=True)
+def named_executor(
+    name: str | None, scheduler: str | None, workers: int, plugin_files: Iterable[Path], plans: Iterable[Plan]
+) -> Workers:
+    """What ``--executor`` and ``--scheduler`` ask for.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such executor, or it cannot be used.
+    """
+    if scheduler is not None and name not in (None, "dask"):
+        raise ConfigError(f"--scheduler: is Dask's, and goes with --executor dask, not {name}")
+    if scheduler is None and name in (None, "processes"):
+        return make_executor(workers, plugin_files)
+    pin_blas()
+    terms = Terms.anywhere(plugin_files, plans)
+    if scheduler is None and name != "dask":
+        return Made(_factory(str(name), workers), workers, terms)
+    from hident.engine import dask
+
+    return dask.local(workers, terms) if scheduler is None else dask.joined(scheduler, terms)
 
 
-@cache
-def pin_blas() -> None:
-    """Hold all BLAS libraries of this process to one thread."""
-    import scipy.linalg  # noqa: F401  (its BLAS must be loaded to be held)
-    from threadpoolctl import threadpool_limits
+def _factory(name: str, workers: int) -> Callable[[], Executor]:
+    """What ``MODULE:FACTORY`` names makes, given the number of workers."""
+    module_name, _, attribute = name.partition(":")
+    if not module_name or not attribute:
+        near = did_you_mean(name, NAMES)
+        raise ConfigError(
+            f"--executor: unknown executor{near} (allowed: {', '.join(NAMES)}, MODULE:FACTORY) (got '{name}')"
+        )
+    # As python -m does: a factory of one's own stands in the folder where the program is started.
+    sys.path.insert(0, "")
+    try:
+        module = importlib.import_module(module_name)
+    except ImportError as error:
+        raise ConfigError(f"--executor: the module of '{name}' cannot be imported: {error}") from None
+    finally:
+        sys.path.remove("")
+    found = getattr(module, attribute, None)
+    if not callable(found):
+        near = did_you_mean(attribute, [other for other in dir(module) if callable(getattr(module, other))])
+        raise ConfigError(f"--executor: {module_name} has no factory '{attribute}'{near}")
 
-    threadpool_limits(1)
+    def make() -> Executor:
+        try:
+            made = found(workers)
+        except Exception as error:
+            raise ConfigError(f"--executor: {name}({workers}): {type(error).__name__}: {error}") from error
+        if isinstance(made, Executor):
+            return made
+        raise ConfigError(
+            f"--executor: {name}({workers}) must give a concurrent.futures.Executor (got {made!r})"
+        )
+
+    return make
+
+
+def unpickled(call: bytes) -> Any:
+    """Run a call that was pickled."""
+    return pickle.loads(call)()
+
+
+@contextmanager
+def _as_workers_start() -> Iterator[None]:
+    with ExitStack() as stack:
+        for each in (interrupts_blocked(), _short_socket_names(), arithmetic.handed_on()):
+            stack.enter_context(each)
+        yield
 
 
 @contextmanager
@@ -123,7 +326,7 @@ def _short_socket_names() -> Iterator[None]:
 
 
 @contextmanager
-def _interrupts_blocked() -> Iterator[None]:
+def interrupts_blocked() -> Iterator[None]:
     """Let the processes that are started here inherit that Ctrl-C is not for them."""
     if sys.platform == "win32":
         yield
@@ -145,21 +348,3 @@ def _end_with_parent() -> None:
     if parent is not None:
         wait([parent.sentinel])
         os._exit(1)
-
-
-def _call(plugin_files: tuple[Path, ...], of_parent: str, call: bytes) -> Any:
-    _prepare(plugin_files, of_parent)
-    fn, args, kwargs = pickle.loads(call)
-    return fn(*args, **kwargs)
-
-
-@cache
-def _prepare(plugin_files: tuple[Path, ...], of_parent: str) -> None:
-    plugins.load(plugin_files)
-    pin_blas()
-    if (own := arithmetic.identity()) != of_parent:
-        raise ConfigError(
-            "worker processes compute with another arithmetic than this process, so that last digits would "
-            f"differ within one result: '{own}' there, '{of_parent}' here. Import hident before numpy, or "
-            "run with --jobs 1"
-        )

@@ -43,8 +43,12 @@ def fingerprint(specs: Iterable[Spec]) -> str:
     what used it, and nothing else. Tables and figures are left out, in the file of an estimator too, and so
     is what only they mention.
     """
-    modules = {_TRIAL, *(type(inner).__module__ for spec in specs for inner in _within(spec))}
-    return _of_modules(frozenset(modules), shown=False)
+    return _of_modules(frozenset(modules(specs)), shown=False)
+
+
+def modules(specs: Iterable[Spec]) -> tuple[str, ...]:
+    """The modules of the specs, of all specs inside them, and of the trial."""
+    return tuple(sorted({_TRIAL, *(type(inner).__module__ for spec in specs for inner in _within(spec))}))
 
 
 def without_source(specs: Iterable[Spec]) -> Iterator[Spec]:
@@ -52,9 +56,9 @@ def without_source(specs: Iterable[Spec]) -> Iterator[Spec]:
     return (inner for spec in specs for inner in _within(spec) if _path(type(inner).__module__) is None)
 
 
-def code(modules: Iterable[str]) -> str:
+def code(named: Iterable[str]) -> str:
     """Hash of the code of loaded modules and of what they import, ever, of this package or their own."""
-    return _of_modules(frozenset(modules), shown=True)
+    return _of_modules(frozenset(named), shown=True)
 
 
 @cache

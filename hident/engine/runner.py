@@ -12,21 +12,27 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from hident.engine.chunks import Chunk, all_chunks, timed
+from hident.engine.chunks import Chunk, all_chunks
 from hident.engine.clock import Limit
-from hident.engine.executors import SerialExecutor
+from hident.engine.executors import Given, SerialExecutor, WorkerDied, Workers, WorkersGone
 from hident.engine.experiment import Plan, Unit
 from hident.engine.log import tell, warn
+from hident.engine.lost import Attempt, Queue
 from hident.engine.results import Results
 from hident.engine.scores import Scores
 from hident.engine.store import MemoryStore, Reader, Store, TrialStore
 from hident.engine.trial import Outcome
 from hident.engine.unit_trials import UnitTrials
+from hident.engine.work import Done, Terms, compute
 from hident.errors import TrialsCrashed
 
 _POLL_SECONDS = 0.1
 _HELD = 4_000_000
 """How many numbers of a run are held in memory; of more, a series at a time is read when it is asked for."""
+# So long an executor that is broken may take to say what becomes of each call.
+_SECONDS_TO_BREAK = 60
+# So often in a row workers may be lost while they have nothing to do.
+_IDLE_LOSSES = 3
 
 
 class Progress(Protocol):
@@ -88,7 +94,7 @@ def run(
     executor : Executor, optional
         Where trials are computed; this process by default.
     workers : int
-        How many calls the executor makes at once.
+        How many calls the executor makes at once, if it is none of :mod:`hident.engine.executors`.
     keep_going : bool
         Whether the other trials are computed after a crash.
     progress : Progress, optional
@@ -97,8 +103,10 @@ def run(
     Raises
     ------
     TrialsCrashed
-        If a trial ended in an error that is not a result, or a worker process with its trials; finished ones
-        are kept if there is a store.
+        If a trial ended in an error that is not a result, or three worker processes with it, or if there are
+        no workers any more; finished ones are kept if there is a store.
+    ConfigError
+        If a worker lacks what it must have in common with this process.
     StoreError
         If the store cannot be used.
     KeyboardInterrupt
@@ -106,9 +114,11 @@ def run(
     """
     kept = store is not None
     store = MemoryStore() if store is None else store
-    return _Run(
-        plan, store, kept, executor or SerialExecutor(), workers, keep_going, progress or Silent()
-    ).results()
+    if executor is None:
+        executor = SerialExecutor()
+    elif not isinstance(executor, Workers):
+        executor = Given(executor, workers, Terms.anywhere(plan.plugin_files, [plan]))
+    return _Run(plan, store, kept, executor, keep_going, progress or Silent()).results()
 
 
 class _Run:
@@ -119,22 +129,21 @@ class _Run:
         plan: Plan,
         store: TrialStore,
         kept: bool,
-        executor: Executor,
-        workers: int,
+        workers: Workers,
         keep_going: bool,
         progress: Progress,
     ) -> None:
         self._plan, self._store, self._kept = plan, store, kept
-        self._executor, self._workers = executor, workers
-        self._keep_going, self._progress = keep_going, progress
+        self._workers, self._keep_going, self._progress = workers, keep_going, progress
         numbers = plan.trials * sum(len(unit.metric_labels) for unit in plan.units)
         self._units = [
             UnitTrials(*of, plan.trials, store, held=numbers <= _HELD)
             for of in zip(plan.units, plan.keys, strict=True)
         ]
         # Made one by one, as they are asked for.
-        self._chunks = all_chunks(self._units)
-        self._pending: dict[Future[tuple[list[Outcome], float]], Chunk] = {}
+        self._queue = Queue(all_chunks(self._units))
+        self._pending: dict[Future[Done], Attempt] = {}
+        self._idle_losses = 0
         self._crashes: list[Crash] = []
         self._limit = Limit.of(plan.trial_timeout)
         self._late = 0
@@ -149,6 +158,10 @@ class _Run:
                 self._compute()
             except BrokenExecutor:
                 raise WorkerEnded(kept=self._kept) from None
+            except WorkersGone as gone:
+                raise TrialsCrashed(
+                    f"{gone}, and its workers with it.\n{_fate(kept=self._kept)}: run again."
+                ) from None
             if self._crashes:
                 raise CrashReport(self._crashes, kept=self._kept)
         return Results(
@@ -162,7 +175,7 @@ class _Run:
         of = {"config": self._plan.name, "perturbation": self._plan.perturbation}
         self._progress.start(total, stored)
         said = f"{self._plan.name}: {total} trials, {stored} of them stored"
-        tell("start", said, **of, total=total, stored=stored, workers=self._workers)
+        tell("start", said, **of, total=total, stored=stored, workers=self._workers.count)
         try:
             yield
         except BaseException as error:
@@ -183,9 +196,14 @@ class _Run:
 
     def _compute(self) -> None:
         """Go on until nothing is missing, or a crash or Ctrl-C ends it."""
+        # What an earlier run has met is not of this one.
+        self._workers.others.clear()
+        if not self._queue:
+            return
+        self._workers.start()
         # Alone, this process is inside a trial at Ctrl-C, and need not wait for another one.
         alone = nullcontext(threading.Event())
-        with _interrupt_deferred() if self._workers > 1 else alone as interrupted:
+        with _interrupt_deferred() if self._workers.most > 1 else alone as interrupted:
             self._submit()
             while self._pending and not interrupted.is_set():
                 self._collect()
@@ -195,28 +213,70 @@ class _Run:
                 raise KeyboardInterrupt
 
     def _submit(self) -> None:
-        # A worker finds its next chunk waiting while this process stores the last one.
-        most = 2 * self._workers if self._workers > 1 else 1
-        while len(self._pending) < most and (self._keep_going or not self._crashes):
-            chunk = next(self._chunks, None)
-            if chunk is None:
+        while len(self._pending) < self._workers.most and (self._keep_going or not self._crashes):
+            attempt = self._queue.take(len(self._pending))
+            if attempt is None:
                 return
-            of = self._plan.seed, self._plan.perturbation, self._limit
-            self._progress.begins(chunk.described())
-            future = self._executor.submit(timed, chunk.case.data, chunk.jobs(), chunk.wanted(), *of)
-            self._pending[future] = chunk
+            chunk, of = attempt.chunk, (self._plan.seed, self._plan.perturbation, self._limit)
+            try:
+                future = self._workers.submit(compute, chunk.case.data, chunk.jobs(), chunk.wanted(), *of)
+            except BrokenExecutor:
+                self._queue.back(attempt)
+                self._renew()
+            else:
+                self._pending[future] = attempt
+                self._progress.begins(chunk.described())
 
     def _collect(self) -> None:
         done = wait(self._pending, _POLL_SECONDS, FIRST_COMPLETED).done
-        # What is finished is stored before an error ends the run.
-        for future in sorted(done, key=lambda future: future.exception() is not None):
-            outcomes, seconds = future.result()
-            chunk = self._pending.pop(future)
-            chunk.case.seconds = seconds / len(chunk.trials)
-            self._keep(chunk, outcomes)
+        self._take(done)
+        if any(isinstance(future.exception(), BrokenExecutor) for future in done):
+            self._renew()
+
+    def _take(self, futures: Iterable[Future[Done]]) -> None:
+        """Keep what is finished, before an error ends the run; leave what was lost with a broken executor."""
+        for future in sorted(futures, key=lambda future: future.exception() is not None):
+            try:
+                done = future.result()
+            except BrokenExecutor:
+                continue
+            except WorkerDied as died:
+                self._lost(self._pending.pop(future), died.deaths, "")
+                continue
+            chunk = self._pending.pop(future).chunk
+            chunk.case.seconds = done.seconds / len(chunk.trials)
+            self._idle_losses = 0
+            self._workers.compare(done.arithmetic, done.worker)
+            self._keep(chunk, done.outcomes)
             self._progress.ends(chunk.described())
-            said = f"{self._plan.name}: {chunk.described()}: {seconds:.3f} s"
-            tell("chunk", said, config=self._plan.name, **chunk.fields(), seconds=round(seconds, 6))
+            said = f"{self._plan.name}: {chunk.described()}: {done.seconds:.3f} s"
+            took = {"seconds": round(done.seconds, 6), "worker": done.worker}
+            tell("chunk", said, config=self._plan.name, **chunk.fields(), **took)
+
+    def _renew(self) -> None:
+        """Others take the place of the workers; whatever these had is lost with them."""
+        self._take(wait(self._pending, _SECONDS_TO_BREAK).done)
+        self._idle_losses += not self._pending
+        if self._idle_losses >= _IDLE_LOSSES:
+            raise BrokenExecutor
+        how = self._workers.renew()
+        lost = [*self._pending.values()]
+        self._pending.clear()
+        for attempt in lost:
+            self._lost(attempt, 1, how)
+        self._workers.start()
+
+    def _lost(self, attempt: Attempt, deaths: int, how: str) -> None:
+        chunk = attempt.chunk
+        self._progress.ends(chunk.described())
+        said = f"its worker process ended abruptly{how and f' ({how})'}"
+        again = self._queue.died(attempt, deaths)
+        fate = "sent again" if again else "given up"
+        text = f"{self._plan.name}: {chunk.described()}: {said}; {fate}"
+        warn("worker lost", text, config=self._plan.name, **chunk.fields(), how=how, again=again)
+        if not again:
+            [task], [trial] = chunk.tasks, chunk.trials
+            self._crashes.append(Crash(task.of.unit, trial, said, f"{said}\n"))
 
     def _stop(self) -> None:
         """Give up what no worker has begun, and keep what is in flight."""
@@ -277,6 +337,10 @@ def _interrupt_deferred() -> Iterator[threading.Event]:
         signal.signal(signal.SIGINT, usual)
 
 
+def _fate(*, kept: bool) -> str:
+    return "All finished trials are kept" if kept else "Without a store no trial is kept"
+
+
 @dataclass(frozen=True)
 class Crash:
     """An error in a trial that is not a result."""
@@ -317,10 +381,9 @@ class WorkerEnded(TrialsCrashed):
             ", or it ran the script that started it from the top, as each worker does, where the call is not "
             'under `if __name__ == "__main__":`'
         )
-        fate = "All finished trials are kept" if kept else "Without a store no trial is kept"
         super().__init__(
             "a worker process ended abruptly: it was killed, perhaps for want of memory, or an estimator "
-            f"ended it{script if in_python else ''}.\n{fate}: run again, with fewer "
+            f"ended it{script if in_python else ''}.\n{_fate(kept=kept)}: run again, with fewer "
             f"{'workers' if in_python else '--jobs'} if memory is short."
         )
         self.kept = kept

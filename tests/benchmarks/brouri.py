@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from hident import plugins
-from hident.engine.executors import pin_blas
 from hident.engine.experiment import load
 from hident.engine.trial import Data, generate
+from hident.engine.work import pin_blas
 from hident.estimators.base import EstimatorSpec
 from tests.benchmarks.timing import figure, least, show
 

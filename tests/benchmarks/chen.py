@@ -15,9 +15,9 @@ import numpy as np
 
 from hident import plugins
 from hident.arrays import Array
-from hident.engine.executors import pin_blas
 from hident.engine.experiment import load
 from hident.engine.trial import Data, generate
+from hident.engine.work import pin_blas
 from hident.estimators.moving_horizon.hammerstein.iterative_hammerstein import IterativeHammerstein
 from hident.estimators.moving_horizon.iterative import IterativeSpec
 from hident.estimators.moving_horizon.transform.linear_transform import SecondStageSpec, StageSpec

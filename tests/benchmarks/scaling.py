@@ -71,8 +71,8 @@ def measure(job: int, size: int) -> tuple[float, int]:
     """Seconds of fit and evaluation, and the peak bytes of this process after one trial."""
     import numpy as np
 
-    from hident.engine.executors import pin_blas
     from hident.engine.trial import generate, run_trials
+    from hident.engine.work import pin_blas
     from hident.records import Record
     from tests.benchmarks.table1 import cases
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hident.engine.executors import pin_blas
 from hident.engine.trial import Data, Job
+from hident.engine.work import pin_blas
 from tests.benchmarks import floor, plain
 from tests.benchmarks.table1 import cases, scores
 from tests.benchmarks.timing import figure, interleaved, seconds, show

@@ -19,9 +19,9 @@ import numpy as np
 
 from hident import plugins
 from hident.arrays import Array
-from hident.engine.executors import pin_blas
 from hident.engine.experiment import load
 from hident.engine.trial import Data, generate
+from hident.engine.work import pin_blas
 from hident.estimators.bilinear_models.bilinear import Regression, regressors
 from hident.estimators.bilinear_models.bilinear_least_squares import BilinearLeastSquares
 from hident.estimators.bilinear_models.known_basis import BilinearSpec

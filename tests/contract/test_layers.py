@@ -12,7 +12,7 @@ ROOT = Path(hident.__file__).parent
 # From the top. A room may import from its own line and from those below it; rooms on one line stand side
 # by side and do not know each other.
 LAYERS = (
-    ("__main__",),
+    ("__main__", "pinned"),
     ("cli", "api"),
     ("commands",),
     ("doctor",),

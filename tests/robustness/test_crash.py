@@ -73,16 +73,66 @@ def test_crash_stops_the_configurations_that_follow_unless_told_to_keep_going(la
     assert "zfine: wrote out/zfine" in said
 
 
-def test_killed_worker(lab: Lab) -> None:
-    lab.probe("if len(record) == 80:\n    os._exit(9)")
-    said = lab.run("--jobs", "2", code=3)
-    assert said.endswith(
-        "error: a worker process ended abruptly: it was killed, perhaps for want of memory, or an estimator "
-        "ended it.\nAll finished trials are kept: run again, with fewer --jobs if memory is short.\n"
-    )
-    assert _probed(lab, 50) > 0
-    assert not (lab.folder / "out").exists()
+def _deadly(lab: Lab, end: str) -> None:
+    """Let the estimate of trial 2 with 80 samples end its process; a file counts how often."""
+    noted = 'with open("inputs", "a") as file:\n    print(len(record), float(record.u[0]), file=file)'
+    lab.probe(noted)
+    lab.run("-q")
+    inputs = [line.split() for line in (lab.folder / "inputs").read_text().splitlines()]
+    [at] = [first for samples, first in inputs if samples == "80"][2:3]
+    lab.forget()
+    lab.probe(f"""
+        if len(record) == 80 and record.u[0] == {at}:
+            with open("deaths", "ab") as file:
+                file.write(b".")
+            {end}
+    """)
+
+
+_ENDED = (
+    "error: tiny: trial 2 of estimator 'probe' at samples 80 crashed: its worker process ended abruptly "
+    "({how})\nAll finished trials are kept; a run after the repair resumes.\n"
+    "Tracebacks: out/tiny/crashes.txt\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("end", "how"),
+    [
+        ("os._exit(9)", "exit code 9"),
+        ("os.kill(os.getpid(), 9)", "signal 9"),
+        ("os.kill(os.getpid(), 11)", "signal 11"),
+    ],
+)
+def test_a_trial_that_ends_three_workers_is_a_crash_and_the_rest_is_kept(
+    lab: Lab, end: str, how: str
+) -> None:
+    _deadly(lab, end)
+    assert lab.run("--jobs", "2", "--keep-going", code=3).endswith(_ENDED.format(how=how))
+    assert (lab.folder / "deaths").stat().st_size == 3
+    assert (_probed(lab, 50), _probed(lab, 80), len(lab.trials())) == (6, 5, 23)
+    assert [path.name for path in (lab.folder / "out/tiny").iterdir()] == ["crashes.txt"]
     lab.await_alone()
+
+
+def test_a_trial_that_ends_its_workers_ends_the_run_without_keep_going(lab: Lab) -> None:
+    _deadly(lab, "os.kill(os.getpid(), 9)")
+    assert lab.run("--jobs", "2", code=3).endswith(_ENDED.format(how="signal 9"))
+    assert _probed(lab, 50) == 6
+    lab.await_alone()
+
+
+def test_workers_that_are_killed_once_or_twice_are_replaced(lab: Lab) -> None:
+    """As for want of memory: the trial is sent again, in the end alone, and then succeeds."""
+    _deadly(lab, 'if Path("deaths").stat().st_size < 3: os.kill(os.getpid(), 9)')
+    lab.run("-q", "--jobs", "2")
+    assert (lab.folder / "deaths").stat().st_size == 3
+    lab.await_alone()
+    killed = lab.table
+    lab.forget()
+    lab.probe()
+    lab.run("-q")
+    assert lab.table == killed
 
 
 def test_exit_called_in_an_estimator_is_a_crash(lab: Lab) -> None:

@@ -261,10 +261,10 @@ class Counting(Executor):
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         future: Future[Any] = Future()
-        outcomes, seconds = fn(*args, **kwargs)
-        self.estimates += sum(len(outcome.scores[0].trials) for outcome in outcomes)
-        self.scores += sum(len(scores.trials) for outcome in outcomes for scores in outcome.scores)
-        future.set_result((outcomes, seconds))
+        done = fn(*args, **kwargs)
+        self.estimates += sum(len(outcome.scores[0].trials) for outcome in done.outcomes)
+        self.scores += sum(len(scores.trials) for outcome in done.outcomes for scores in outcome.scores)
+        future.set_result(done)
         return future
 
 
