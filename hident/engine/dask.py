@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -54,6 +55,9 @@ class DaskExecutor(Workers):
 
     def start(self) -> None:
         if self._client is None:
+            # Where it starts, it unblocks what was blocked.
+            if sys.platform != "win32":
+                resource_tracker.ensure_running()
             with interrupts_blocked(), arithmetic.handed_on():
                 self._client = self._connect()
         self._address = self._client.scheduler.address

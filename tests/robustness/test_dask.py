@@ -64,12 +64,12 @@ class Cluster:
             "run", "tiny.yaml", "--scheduler", "scheduler.json", *arguments, code=code, fresh=True
         ).stderr
 
-    def begin(self) -> subprocess.Popen[bytes]:
+    def begin(self, *on: str) -> subprocess.Popen[bytes]:
         """Begin to run, in a process group of its own, with a log: when an estimate is held, it returns."""
         (self.lab.folder / "hold").touch()
-        plugin = ("--plugin", "probe.py", "--scheduler", "scheduler.json")
+        on = on or ("--scheduler", "scheduler.json")
         with (self.lab.folder / "log.txt").open("wb") as log:
-            process = self._process(log, "-m", "hident", "run", "tiny.yaml", *plugin)
+            process = self._process(log, "-m", "hident", "run", "tiny.yaml", "--plugin", "probe.py", *on)
         self.lab.await_(lambda: self.holding() or process.poll() is not None)
         return process
 
@@ -259,10 +259,14 @@ def test_a_scheduler_that_is_gone_ends_the_run_and_the_next_one_resumes(
     assert _files(held.lab) == serial
 
 
+@pytest.mark.parametrize("on", [(), ("--executor", "dask", "--jobs", "2")], ids=["standing", "local"])
 @pytest.mark.parametrize("times", [1, 2])
-def test_interrupt_keeps_what_is_in_flight_and_a_second_one_stops_at_once(held: Cluster, times: int) -> None:
-    held.worker()
-    process = held.begin()
+def test_interrupt_keeps_what_is_in_flight_and_a_second_one_stops_at_once(
+    held: Cluster, times: int, on: tuple[str, ...]
+) -> None:
+    if not on:
+        held.worker()
+    process = held.begin(*on)
     os.killpg(process.pid, signal.SIGINT)
     held.lab.await_(lambda: "stopping when the trials in flight are stored" in held.lab.log)
     before = len(held.lab.trials())
