@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -13,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hident import arithmetic
+from hident import arithmetic, stopping
 from hident.engine.cores import usable_cores
 from hident.engine.executors import end, make_executor
 from hident.engine.experiment import Plan
@@ -133,7 +132,8 @@ def bench(
     plugin_files: Iterable[Path],
     quiet: bool,
 ) -> Iterator[Bench]:
-    """A bench with workers, which end with it; Ctrl-C ends both, and the program, with a message."""
+    """A bench with workers, which end with it; Ctrl-C, SIGTERM and SIGHUP end both, and the
+    program, with a message."""
     if said := arithmetic.shortfall(arithmetic.in_use()):
         print(f"warning: {said}", file=sys.stderr)
     workers = jobs or usable_cores()
@@ -143,7 +143,7 @@ def bench(
         yield Bench(plans, out, store, wait, executor, workers, quiet)
         executor.shutdown()
     except KeyboardInterrupt:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        stopping.ignore()
         print(
             f"interrupted: all stored trials are kept in {store}; the same command resumes", file=sys.stderr
         )

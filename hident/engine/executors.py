@@ -17,12 +17,12 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import cache
-from multiprocessing import forkserver
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hident import arithmetic, plugins
+from hident import arithmetic, plugins, stopping
 from hident.engine.fingerprint import libraries
 from hident.errors import ConfigError
 
@@ -44,16 +44,39 @@ class SerialExecutor(Executor):
         return future
 
 
+if sys.platform != "win32":
+    from multiprocessing.context import ForkServerContext, ForkServerProcess
+
+    class _Worker(ForkServerProcess):
+        """A worker, which ignores SIGTERM: the pool means it to end by it when another one has died."""
+
+        def terminate(self) -> None:
+            self.kill()
+
+    class _Workers(ForkServerContext):
+        Process = _Worker
+
+
 class PoolExecutor(ProcessPoolExecutor):
-    """Processes that know the plugins; they ignore Ctrl-C, and end when their parent does."""
+    """Processes that know the plugins; they ignore Ctrl-C and its like, and end when their parent does."""
 
     def __init__(self, workers: int, plugin_files: tuple[Path, ...]) -> None:
         # Workers are started afresh: forking a process with threads (BLAS, a progress bar) may deadlock.
-        method = "spawn" if sys.platform == "win32" else "forkserver"
-        context = multiprocessing.get_context(method)
-        if method == "forkserver":
+        if sys.platform == "win32":
+            context = multiprocessing.get_context("spawn")
+        else:
+            context = _Workers()
             # Once for all workers; scipy.signal alone takes a second.
-            context.set_forkserver_preload(["hident.engine.trial", *plugins.built_in(), "scipy.signal"])
+            modules = (
+                "hident.engine.socket_folder",
+                "hident.engine.trial",
+                *plugins.built_in(),
+                "scipy.signal",
+            )
+            context.set_forkserver_preload([*modules])
+            # Here, as its start unblocks signals, which later ones would inherit.
+            with _signals_blocked():
+                resource_tracker.ensure_running()
         super().__init__(workers, mp_context=context, initializer=_start_worker)
         self._plugin_files = plugin_files
         # That of the keys.
@@ -69,7 +92,7 @@ class PoolExecutor(ProcessPoolExecutor):
                 f"a component cannot be sent to worker processes ({error}): define its class at the top "
                 "level of its module, or run with --jobs 1"
             ) from None
-        with _interrupts_blocked(), _short_socket_names(), arithmetic.handed_on():
+        with _signals_blocked(), _short_socket_names(), arithmetic.handed_on():
             if sys.platform != "win32":
                 forkserver.ensure_running()
             return super().submit(_call, self._plugin_files, self._arithmetic, call)
@@ -123,12 +146,12 @@ def _short_socket_names() -> Iterator[None]:
 
 
 @contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Let the processes that are started here inherit that Ctrl-C is not for them."""
+def _signals_blocked() -> Iterator[None]:
+    """Let the processes that are started here inherit that Ctrl-C and its like are not for them."""
     if sys.platform == "win32":
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, stopping.SIGNALS)
     try:
         yield
     finally:
@@ -136,7 +159,7 @@ def _interrupts_blocked() -> Iterator[None]:
 
 
 def _start_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    stopping.ignore()
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
