@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -112,14 +112,16 @@ class Bench:
         return Sensitivity.measured(values, map(repeated, range(1, perturbations + 1)))
 
     def _trials(self, plan: Plan, store: TrialStore, name: str, *, keep_going: bool = False) -> Results:
-        return run(
-            plan,
-            store=store,
-            executor=self.executor,
-            workers=self.workers,
-            keep_going=keep_going,
-            progress=chosen(name, quiet=self.quiet),
-        )
+        # An estimator may go elsewhere, and paths may be relative.
+        with chdir(Path.cwd()):
+            return run(
+                plan,
+                store=store,
+                executor=self.executor,
+                workers=self.workers,
+                keep_going=keep_going,
+                progress=chosen(name, quiet=self.quiet),
+            )
 
 
 @contextmanager
