@@ -9,7 +9,7 @@ CONFIGS := $(sort $(wildcard configs/*.yaml))
 # Hundreds of processes start: without cached bytecode each takes a third longer.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup reproduce-all test lint format arithmetics bench lock schema clean
+.PHONY: help setup reproduce-all test lint format arithmetics bench torture lock schema clean
 .DEFAULT_GOAL := help
 
 help: ## Show the targets
@@ -52,6 +52,9 @@ arithmetics: $(VENV)/ready ## Run every configuration with other kernels, and wr
 
 bench: $(VENV)/ready ## Measure speed and memory, and print ratios
 	@$(BIN)/python -m tests.benchmarks
+
+torture: $(VENV)/ready ## Kill, damage and starve runs, count what is lost (TORTURE="--only NAME --count N --seed S")
+	@$(BIN)/python -m tests.torture $(TORTURE)
 
 schema: $(VENV)/ready ## Write docs/config.schema.json anew
 	@$(BIN)/hident schema > docs/config.schema.json

@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 import hident
-from hident import arithmetic, console
+from hident import arithmetic, console, stopping
 from hident.config.suggest import did_you_mean, one_of
 from hident.errors import Exit, HidentError
 
@@ -44,7 +44,7 @@ app = typer.Typer(
     help="Monte Carlo experiments on identifying Hammerstein, Wiener and Wiener-Hammerstein systems.",
     epilog="Exit codes: 0 fine, 1 differs, unsound or a figure not drawn, 2 bad configuration or arguments, "
     "3 trials crashed, 4 nothing to compare, 70 an unforeseen error (a fault of hident), 75 another run "
-    "holds the store, 130 interrupted.",
+    "holds the store, 130 interrupted (143 by SIGTERM, 129 by SIGHUP).",
 )
 
 Configs = Annotated[list[Path], typer.Argument(help="YAML files, or names of files under configs/.")]
@@ -103,7 +103,10 @@ def main() -> None:
     # This program opens no window; a notebook's backend, which may not be installed here, ends the import.
     os.environ["MPLBACKEND"] = "agg"
     console.harden()
+    stopping.listen()
     code = _exit_code()
+    if code == Exit.INTERRUPTED:
+        code = stopping.exit_code()
     if lost := console.fault():
         print(f"error: standard output cannot be written ({lost})", file=sys.stderr)
         code = code or Exit.BAD_INPUT

@@ -35,6 +35,14 @@ class _Lossy(io.FileIO):
         return size
 
 
+class _Lasting(io.TextIOWrapper):
+    """A stream that no component can close: messages come after its trials."""
+
+    def close(self) -> None:
+        """Only flush."""
+        self.flush()
+
+
 def harden() -> None:
     """Let writing to standard output and standard error never fail, for the rest of this process."""
     _fill()
@@ -70,14 +78,14 @@ def _raw(stream: Any) -> Any:
 
 def _hardened(stream: Any, descriptor: int) -> Any:
     if stream is None:
-        return io.TextIOWrapper(io.BufferedWriter(_lossy(descriptor)), "utf-8", line_buffering=True)
+        return _Lasting(io.BufferedWriter(_lossy(descriptor)), "utf-8", line_buffering=True)
     if type(_raw(stream)) is not io.FileIO:
         # Such as a console of Windows, which takes letters instead of bytes.
         stream.reconfigure(errors="backslashreplace")
         return stream
     stream.flush()
     raw = _lossy(_raw(stream).fileno())
-    return io.TextIOWrapper(
+    return _Lasting(
         raw if _raw(stream) is stream.buffer else io.BufferedWriter(raw),
         stream.encoding,
         "backslashreplace",

@@ -164,10 +164,10 @@ class Lab:
         jobs = () if "--jobs" in arguments else ("--jobs", "1")
         return self.hident("run", "tiny.yaml", *jobs, *arguments, code=code, **options).stderr
 
-    def start(self, *arguments: str, log: str = "log.txt") -> Forked:
+    def start(self, *arguments: str, log: str = "log.txt", **options: Any) -> Forked:
         """Start the program in a process group of its own, as a terminal does; it writes to a log."""
         with (self.folder / log).open("wb") as file:
-            process = Forked(self._arguments(arguments), self.folder, file, file)
+            process = Forked(self._arguments(arguments), self.folder, file, file, **options)
         self.started.append(process)
         return process
 

@@ -7,6 +7,7 @@ components of the test modules are registered.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import signal
@@ -140,7 +141,9 @@ def _become(
         traceback.print_exc()
     finally:
         for stream in (sys.stdout, sys.stderr):
-            stream.flush()
+            # An estimator may have closed it.
+            with contextlib.suppress(ValueError):
+                stream.flush()
         os._exit(code)
 
 

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
+import numpy as np
+
 from hident import plugins
 from hident.config.load import Document
 from hident.config.suggest import one_of
@@ -37,9 +39,11 @@ def load_plans(
     for config in configs:
         try:
             source = config if isinstance(config, Document) else file_of(config)
-            plan = load(source, assignments or (), options)
-            check_published(plan)
-            check(plan)
+            # What numbers at the edge of arithmetic lead to is told by the checks, not by numpy.
+            with np.errstate(all="ignore"):
+                plan = load(source, assignments or (), options)
+                check_published(plan)
+                check(plan)
             plans.append(plan)
         except ConfigError as error:
             errors.append(str(error))

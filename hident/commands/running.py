@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hident import arithmetic
+from hident import arithmetic, stopping
 from hident.engine.cores import usable_cores
 from hident.engine.executors import Workers, named_executor
 from hident.engine.experiment import Plan
@@ -126,13 +125,15 @@ class Bench:
         return Sensitivity.measured(values, map(repeated, range(1, perturbations + 1)))
 
     def _trials(self, plan: Plan, store: TrialStore, name: str, *, keep_going: bool = False) -> Results:
-        results = run(
-            plan,
-            store=store,
-            executor=self.workers,
-            keep_going=keep_going,
-            progress=chosen(name, len(plan.units), quiet=self.quiet),
-        )
+        # An estimator may go elsewhere, and paths may be relative.
+        with chdir(Path.cwd()):
+            results = run(
+                plan,
+                store=store,
+                executor=self.workers,
+                keep_going=keep_going,
+                progress=chosen(name, len(plan.units), quiet=self.quiet),
+            )
         if count := results.timed_out:
             print(
                 f"warning: {name}: {count} trial{'s' * (count != 1)} took longer than the trial timeout of "
@@ -154,7 +155,8 @@ def bench(
     executor: str | None = None,
     scheduler: str | None = None,
 ) -> Iterator[Bench]:
-    """A bench with workers, which end with it; Ctrl-C ends both, and the program, with a message."""
+    """A bench with workers, which end with it; Ctrl-C, SIGTERM and SIGHUP end both, and the
+    program, with a message."""
     if said := arithmetic.shortfall(arithmetic.in_use()):
         print(f"warning: {said}", file=sys.stderr)
     files = [*dict.fromkeys([*plugin_files, *(file for plan in plans for file in plan.plugin_files)])]
@@ -164,7 +166,7 @@ def bench(
         yield Bench(plans, out, store, wait, workers, quiet)
         workers.shutdown()
     except KeyboardInterrupt:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        stopping.ignore()
         print(
             f"interrupted: all stored trials are kept in {store}; the same command resumes", file=sys.stderr
         )

@@ -108,7 +108,10 @@ class Reader:
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark
             place = self._name if mark is None else self._place(mark.line).text
-            raise ConfigError(f"{place}: is not valid YAML: {error.problem}") from None
+            # Of an anchor that stands twice, its name is in the context.
+            twice = str(error.context).startswith("found duplicate anchor")
+            problem = str(error.context).partition(";")[0] if twice else error.problem
+            raise ConfigError(f"{place}: is not valid YAML: {problem}") from None
         except RecursionError:
             raise too_deep from None
         return None if node is None else self._plain(node, (), ())

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from hident import arithmetic
-from hident.engine.executors import WorkerDied, Workers, WorkersGone, interrupts_blocked, unpickled
+from hident.engine.executors import WorkerDied, Workers, WorkersGone, signals_blocked, unpickled
 from hident.engine.work import Call, Terms
 from hident.errors import ConfigError
 
@@ -58,7 +58,7 @@ class DaskExecutor(Workers):
             # Where it starts, it unblocks what was blocked.
             if sys.platform != "win32":
                 resource_tracker.ensure_running()
-            with interrupts_blocked(), arithmetic.handed_on():
+            with signals_blocked(), arithmetic.handed_on():
                 self._client = self._connect()
         self._address = self._client.scheduler.address
         if not self._client.nthreads():

@@ -19,12 +19,12 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from concurrent.futures import wait as wait_for
 from contextlib import ExitStack, contextmanager
-from multiprocessing import forkserver
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hident import arithmetic, plugins
+from hident import arithmetic, plugins, stopping
 from hident.config.suggest import did_you_mean
 from hident.engine.experiment import Plan
 from hident.engine.work import Call, Terms, pin_blas
@@ -176,8 +176,21 @@ class Made(Workers):
         self.shutdown(wait=False)
 
 
+if sys.platform != "win32":
+    from multiprocessing.context import ForkServerContext, ForkServerProcess
+
+    class _Worker(ForkServerProcess):
+        """A worker, which ignores SIGTERM: the pool means it to end by it when another one has died."""
+
+        def terminate(self) -> None:
+            self.kill()
+
+    class _WorkersContext(ForkServerContext):
+        Process = _Worker
+
+
 class PoolExecutor(Made):
-    """Processes that know the plugins; they ignore Ctrl-C, and end when their parent does."""
+    """Processes that know the plugins; they ignore Ctrl-C and its like, and end when their parent does."""
 
     def __init__(self, workers: int, plugin_files: tuple[Path, ...]) -> None:
         super().__init__(self._pool, workers, Terms.here(plugin_files))
@@ -185,11 +198,21 @@ class PoolExecutor(Made):
 
     def _pool(self) -> Executor:
         # Workers are started afresh: forking a process with threads (BLAS, a progress bar) may deadlock.
-        method = "spawn" if sys.platform == "win32" else "forkserver"
-        context = multiprocessing.get_context(method)
-        if method == "forkserver":
+        if sys.platform == "win32":
+            context = multiprocessing.get_context("spawn")
+        else:
+            context = _WorkersContext()
             # Once for all workers; scipy.signal alone takes a second.
-            context.set_forkserver_preload(["hident.engine.work", *plugins.built_in(), "scipy.signal"])
+            modules = (
+                "hident.engine.socket_folder",
+                "hident.engine.work",
+                *plugins.built_in(),
+                "scipy.signal",
+            )
+            context.set_forkserver_preload([*modules])
+            # Here, as its start unblocks signals, which later ones would inherit.
+            with signals_blocked():
+                resource_tracker.ensure_running()
             forkserver.ensure_running()
         return ProcessPoolExecutor(self.count, mp_context=context, initializer=_start_worker)
 
@@ -215,9 +238,10 @@ class PoolExecutor(Made):
                 process.kill()
         if self._executor is not None:
             self._executor.shutdown()
-        # 255 stands for what multiprocessing does not know.
+        # 255 stands for what multiprocessing does not know; the pool has killed those that were left.
         codes = [process.exitcode for process in self._processes]
-        code = next((code for code in codes if code not in (None, 0, 255, -signal.SIGTERM)), 0)
+        told = [code for code in codes if code not in (None, 0, 255)]
+        code = next((code for code in told if code != -signal.SIGKILL), [*told, 0][0])
         self._processes = set()
         super().renew()
         return f"signal {-code}" if code < 0 else f"exit code {code}" if code else ""
@@ -296,7 +320,7 @@ def unpickled(call: bytes) -> Any:
 @contextmanager
 def _as_workers_start() -> Iterator[None]:
     with ExitStack() as stack:
-        for each in (interrupts_blocked(), _short_socket_names(), arithmetic.handed_on()):
+        for each in (signals_blocked(), _short_socket_names(), arithmetic.handed_on()):
             stack.enter_context(each)
         yield
 
@@ -326,12 +350,12 @@ def _short_socket_names() -> Iterator[None]:
 
 
 @contextmanager
-def interrupts_blocked() -> Iterator[None]:
-    """Let the processes that are started here inherit that Ctrl-C is not for them."""
+def signals_blocked() -> Iterator[None]:
+    """Let the processes that are started here inherit that Ctrl-C and its like are not for them."""
     if sys.platform == "win32":
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, stopping.SIGNALS)
     try:
         yield
     finally:
@@ -339,7 +363,7 @@ def interrupts_blocked() -> Iterator[None]:
 
 
 def _start_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    stopping.ignore()
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

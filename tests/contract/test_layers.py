@@ -32,7 +32,7 @@ LAYERS = (
     ("config",),
     ("__init__",),
     ("arithmetic",),
-    ("errors",),
+    ("errors", "stopping"),
 )
 HEIGHT = {room: -level for level, rooms in enumerate(LAYERS) for room in rooms}
 MODULES = sorted(ROOT.rglob("*.py"))

@@ -161,3 +161,15 @@ def test_plugin_that_cannot_be_sent_to_workers(lab: Lab) -> None:
     assert "error: a component cannot be sent to worker processes" in said
     assert "define its class at the top level of its module, or run with --jobs 1" in said
     lab.run("--jobs", "1")
+
+
+def test_what_an_estimator_does_to_its_process_does_not_disturb_the_run(lab: Lab) -> None:
+    lab.probe()
+    lab.run("-q")
+    undisturbed = lab.table
+    lab.forget()
+    lab.probe("os.chdir('/')\nsys.stdout.close()\nsys.stderr.close()")
+    done = lab.hident("run", "tiny.yaml", "-j1")
+    assert done.stdout.startswith("# Tiny")
+    assert "tiny: wrote out/tiny" in done.stderr
+    assert lab.table == undisturbed

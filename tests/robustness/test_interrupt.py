@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -62,6 +63,62 @@ def test_first_interrupt_of_a_pool_keeps_what_is_in_flight(held: Lab, uninterrup
     assert not (held.folder / "out").exists()
     held.run("-q", "--jobs", "2")
     assert held.table == uninterrupted
+
+
+@pytest.mark.parametrize(
+    ("number", "whole_group"),
+    [(signal.SIGTERM, True), (signal.SIGTERM, False), (signal.SIGHUP, True)],
+    ids=["SIGTERM to all", "SIGTERM to one", "SIGHUP to all"],
+)
+def test_other_signals_end_a_pool_as_an_interrupt_does(
+    held: Lab, number: signal.Signals, whole_group: bool, uninterrupted: bytes
+) -> None:
+    process = held.start("run", "tiny.yaml", "--jobs", "2")
+    held.await_((held.folder / "reached").exists)
+    (os.killpg if whole_group else os.kill)(process.pid, number)
+    held.await_(lambda: "stopping when the trials in flight are stored" in held.log)
+    (held.folder / "hold").unlink()
+    assert process.wait() == 128 + number
+    assert _RESUMES in held.log
+    assert "Traceback" not in held.log
+    held.await_alone()
+    assert any("80" in case for _, case, _ in held.trials())
+    assert not (held.folder / "out").exists()
+    held.run("-q", "--jobs", "2")
+    assert held.table == uninterrupted
+
+
+def test_second_signal_of_a_pool_stops_at_once(held: Lab) -> None:
+    process = held.start("run", "tiny.yaml", "--jobs", "2")
+    held.await_((held.folder / "reached").exists)
+    os.killpg(process.pid, signal.SIGTERM)
+    held.await_(lambda: "stopping when the trials in flight are stored" in held.log)
+    os.killpg(process.pid, signal.SIGTERM)
+    assert process.wait() == 143
+    assert _RESUMES in held.log
+    held.await_alone()
+
+
+def test_signal_that_is_ignored_stays_so(held: Lab) -> None:
+    process = held.start(
+        "run", "tiny.yaml", "--jobs", "1", preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    )
+    held.await_((held.folder / "reached").exists)
+    os.killpg(process.pid, signal.SIGHUP)
+    (held.folder / "hold").unlink()
+    assert process.wait() == 0
+
+
+def test_other_signals_end_a_serial_run_that_ignores_interrupts(held: Lab) -> None:
+    process = held.start(
+        "run", "tiny.yaml", "--jobs", "1", preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN)
+    )
+    held.await_((held.folder / "reached").exists)
+    os.killpg(process.pid, signal.SIGINT)
+    os.killpg(process.pid, signal.SIGTERM)
+    assert process.wait() == 143
+    assert _RESUMES in held.log
+    held.await_alone()
 
 
 def test_second_interrupt_of_a_pool_stops_at_once(held: Lab) -> None:
@@ -184,6 +241,20 @@ class Slow(FigureSpec):
     assert process.wait() == 130
     assert "Traceback" not in lab.log
     assert {path.name: path.read_bytes() for path in (lab.folder / "out/tiny").iterdir()} == before
+
+
+def test_kill_of_the_main_process_leaves_no_socket(held: Lab) -> None:
+    # That of the test may be too long for a socket.
+    with tempfile.TemporaryDirectory(dir="/tmp") as name:
+        process = held.start(
+            "run", "tiny.yaml", "--jobs", "2", preexec_fn=lambda: setattr(tempfile, "tempdir", name)
+        )
+        held.await_((held.folder / "reached").exists)
+        assert [*Path(name).glob("*/listener-*")]
+        process.kill()
+        process.wait()
+        held.await_alone()
+        assert not [*Path(name).iterdir()]
 
 
 def test_kills_at_any_moment_lose_nothing(lab: Lab, uninterrupted: bytes) -> None:

@@ -276,3 +276,25 @@ def test_streams_that_are_defined_at_a_prompt_run_here_only(tmp_path, monkeypatc
     Typed.__module__ = "typed_in"
     with pytest.raises(ConfigError, match="Typed was defined at a prompt or in a notebook"):
         hi.run({**MADE, "streams": Typed()}, store=tmp_path)
+
+
+def test_what_numbers_at_the_edge_of_arithmetic_lead_to_is_an_error_and_no_warning():
+    with pytest.raises(ConfigError, match=r"^experiment: system\.output_linear: "):
+        hi.validate(
+            {
+                "version": 1,
+                "title": "tests",
+                "trials": 1,
+                "dt": 0.1,
+                "samples": 50,
+                "system": {
+                    "kind": "wiener_hammerstein",
+                    "input_linear": {"kind": "continuous", "a": [1]},
+                    "nonlinearity": "abs",
+                    "output_linear": {"kind": "continuous", "a": [105, 5e-324]},
+                },
+                "excitation": {"kind": "iid", "distribution": "uniform", "low": -1, "high": 1},
+                "estimators": {"known": {"kind": "known_dynamics", "a": [0.5]}},
+                "metrics": {"a": {"kind": "value", "of": ["a_1"]}},
+            }
+        )

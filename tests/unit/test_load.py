@@ -169,6 +169,7 @@ def test_line_ends_byte_order_mark_and_document_marks(tmp_path, text):
         ("a: 1\n\tb: 2", "a.yaml:2: is not valid YAML: found character '\\t' that cannot start any token"),
         ("a: [1\nb: 2", "a.yaml:2: is not valid YAML: expected ',' or ']', but got ':'"),
         ("a: 'open", "a.yaml:1: is not valid YAML: found unexpected end of stream"),
+        ("a: &x 1\nb: &x 2", "a.yaml:2: is not valid YAML: found duplicate anchor 'x'"),
         ("a: *x", "a.yaml:1: is not valid YAML: found undefined alias 'x'"),
         ("a: 1\n---\nb: 2", "a.yaml:2: is not valid YAML: but found another document"),
         ("a: 1\nb: '\x01'", "a.yaml:2: is not valid YAML: the character U+0001 is not allowed"),

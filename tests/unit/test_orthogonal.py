@@ -7,7 +7,7 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from hident.config.spec import Of
-from hident.errors import EstimationError
+from hident.errors import ConfigError, EstimationError
 from hident.estimators.nonparametric import fourier
 from hident.estimators.nonparametric.bases import BasisSpec, Hermite, Laguerre, Legendre, Trigonometric
 from hident.estimators.nonparametric.orthogonal import (
@@ -298,3 +298,13 @@ def test_bases_by_kind():
     of_basis = Of("basis")
     assert of_basis.validate("hermite") == Hermite()
     assert isinstance(of_basis.validate({"kind": "legendre", "interval": [0, "pi"]}), BasisSpec)
+
+
+@pytest.mark.parametrize("distribution", [["uniform"], {}, None, 5])
+def test_a_density_of_no_known_distribution_is_refused(distribution):
+    with pytest.raises(ConfigError, match=r"density: must be 'estimated' or a mapping with 'distribution"):
+        Orthogonal(
+            basis={"kind": "legendre", "interval": [-1, 1]},
+            terms={"q0": 3, "alpha": 0.2},
+            density={"distribution": distribution},
+        )

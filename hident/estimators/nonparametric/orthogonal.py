@@ -179,7 +179,7 @@ class Orthogonal(NonparametricSpec):
         if value == "estimated" or isinstance(value, Spec):
             return value
         distribution = value.get("distribution") if isinstance(value, Mapping) else None
-        if distribution not in _DENSITIES:
+        if not isinstance(distribution, str) or distribution not in _DENSITIES:
             raise ValueError("must be 'estimated' or a mapping with 'distribution: uniform' or 'gaussian'")
         return _DENSITIES[distribution].model_validate(value)
 

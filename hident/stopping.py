@@ -1,0 +1,45 @@
+"""The signals that end a run: SIGTERM and SIGHUP do it as Ctrl-C does.
+
+Batch systems, service managers and terminals that close send them. What is in flight is stored, the workers
+end, and the exit code says which signal it was.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from types import FrameType
+
+# Windows has no SIGHUP.
+_OTHERS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+SIGNALS = (signal.SIGINT, *_OTHERS)
+_received: list[int] = []
+
+
+def listen() -> None:
+    """Treat SIGTERM and SIGHUP as Ctrl-C from now on; one that is ignored, as by nohup, stays so."""
+    if threading.current_thread() is not threading.main_thread():
+        return
+    for number in _OTHERS:
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, _interrupt)
+
+
+def ignore() -> None:
+    """Let none of the signals disturb the end of this process."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
+
+
+def exit_code() -> int:
+    """128 and the number of the signal that came first, as shells have it; that of Ctrl-C if none did."""
+    return 128 + (_received[0] if _received else signal.SIGINT)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    _received.append(number)
+    handler = signal.getsignal(signal.SIGINT)
+    # Where a shell lets this process ignore Ctrl-C, as in the background of a script, nothing else stands in.
+    if not callable(handler):
+        raise KeyboardInterrupt
+    handler(signal.SIGINT, frame)

@@ -1,0 +1,1 @@
+"""What tries to break hident's promises: see docs/robustness.md."""
