@@ -129,8 +129,9 @@ def _unusable(error: Exception) -> str:
 
 def _be_silent() -> None:
     """What goes wrong in Dask's own threads is told by what becomes of the calls."""
-    for name in ("distributed", "tornado", "asyncio"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)
+    for name in [*logging.root.manager.loggerDict]:
+        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 def require() -> None:

@@ -219,11 +219,13 @@ class PoolExecutor(Made):
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         if len(self._processes) == self.count:
             return super().submit(fn, *args, **kwargs)
-        before = set(multiprocessing.active_children())
-        try:
-            return super().submit(fn, *args, **kwargs)
-        finally:
-            self._processes |= set(multiprocessing.active_children()) - before
+        # A worker whose start is cut in half would be known to nobody.
+        with stopping.postponed():
+            before = set(multiprocessing.active_children())
+            try:
+                return super().submit(fn, *args, **kwargs)
+            finally:
+                self._processes |= set(multiprocessing.active_children()) - before
 
     def kill(self) -> None:
         for worker in self._processes:

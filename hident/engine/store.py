@@ -122,7 +122,8 @@ class Store:
             yield Reader(None, self)
             return
         with self._connected(self.path, "rw") as connection:
-            yield Reader(connection, self)
+            # Where its making ended early, there is a file without anything in it.
+            yield Reader(connection if _is_made(connection) else None, self)
 
     def check(self) -> None:
         """Look for damage, and change nothing.
@@ -198,8 +199,9 @@ class Store:
         try:
             # Who only reads leaves a log as it is, which may be another file's; who writes leaves none.
             with self._connected(self.path, "ro" if _has_content(log) else "rw") as connection:
-                if not connection.execute("PRAGMA user_version").fetchone()[0]:
-                    return "its header is damaged"
+                if not _is_made(connection):
+                    bare = connection.execute("SELECT COUNT(*) FROM sqlite_master").fetchone()[0] == 0
+                    return "" if bare else "its header is damaged"
                 found = connection.execute("PRAGMA integrity_check(1)").fetchone()[0].decode()
                 reader = Reader(connection, self)
                 if _has_content(log) and not all(map(reader.has, blocks_in(self.path))):
@@ -274,6 +276,10 @@ class _Damaged(StoreError):
     def __init__(self, text: str, fault: str) -> None:
         super().__init__(text)
         self.fault = fault
+
+
+def _is_made(connection: sqlite3.Connection) -> bool:
+    return bool(connection.execute("PRAGMA user_version").fetchone()[0])
 
 
 def _has_content(path: Path) -> bool:

@@ -223,7 +223,7 @@ def run_trials(
     depend on which trials run together. With a limit, each record, estimate and score of a trial is ended
     that takes longer.
     """
-    with np.errstate(all="ignore"), Clock(limit) as clock:
+    with Clock(limit) as clock:
         trials = sorted({trial for of in wanted for trial in of})
         made = _records(data, seed, trials, perturbation, clock)
         records = {trial: record for trial, record in made.items() if isinstance(record, Record)}
@@ -258,7 +258,8 @@ def _outcome(
 def _attempt(make: Callable[[], T], clock: Clock) -> T | BaseException:
     """What is made, or what was raised instead."""
     try:
-        return clock.limited(make)
+        with np.errstate(all="ignore"):
+            return clock.limited(make)
     except KeyboardInterrupt:
         raise
     # Whatever a component raises, SystemExit and GeneratorExit too, must not end the run.
@@ -356,7 +357,8 @@ class _Late(str):
 def _score(metric: MetricSpec, found: Estimate, record: Record, clock: Clock) -> Array | str | Crash:
     """The values of a metric; or why it failed; or its crash."""
     try:
-        return clock.limited(partial(_numbers, metric, found, record))
+        with np.errstate(all="ignore"):
+            return clock.limited(partial(_numbers, metric, found, record))
     except KeyboardInterrupt:
         raise
     except BaseException as error:

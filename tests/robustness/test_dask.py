@@ -246,6 +246,7 @@ def test_a_scheduler_that_is_gone_ends_the_run_and_the_next_one_resumes(
 ) -> None:
     held.worker()
     process = held.begin()
+    held.lab.await_(held.lab.trials)
     held.scheduler.kill()
     assert process.wait(GUARD_SECONDS) == 3
     assert "error: the scheduler at tcp://127.0.0.1:" in held.lab.log

@@ -23,20 +23,13 @@ def tally():
     assert made.sound, made.table()
 
 
-@pytest.mark.parametrize("kind", [disk, results, together], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("kind", [disk, results, store, together], ids=lambda kind: kind.__name__)
 def test_few_faults(kind: ModuleType, tally: Tally) -> None:
     kind.torture(tally, random.Random(1), 1)
 
 
-@pytest.mark.xfail(reason="damage is told and not mended yet", strict=False)
-def test_few_damaged_stores() -> None:
-    tally = Tally()
-    store.torture(tally, random.Random(1), 1)
-    assert tally.sound, tally.table()
-
-
 def test_few_kills(tally: Tally) -> None:
-    kills.torture(tally, random.Random(1), 6)
+    kills.torture(tally, random.Random(1), 4)
 
 
 def test_few_misdeeds(tally: Tally, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -47,4 +40,4 @@ def test_few_misdeeds(tally: Tally, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_bad_input(tally: Tally, monkeypatch: pytest.MonkeyPatch) -> None:
     # No time is asserted here, and few programs are started.
     monkeypatch.setattr(inputs, "bombs", lambda folder: iter(()))
-    inputs.torture(tally, random.Random(1), 200, timed=False)
+    inputs.torture(tally, random.Random(1), 100, timed=False)

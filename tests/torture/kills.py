@@ -64,7 +64,7 @@ def _one(
     assert code in _codes(target, number), f"exit code {code}: {victim.log}"
     computed, stored = victim.fits(), victim.stored()
     lost = computed - stored
-    if code == 0 or (number in (signal.SIGTERM, signal.SIGHUP) and jobs == "2"):
+    if (code == 0 and target != "worker") or (number in (signal.SIGTERM, signal.SIGHUP) and jobs == "2"):
         allowed = 0
     else:
         allowed = _CHUNK if jobs == "1" else _IN_FLIGHT
@@ -81,8 +81,8 @@ def _codes(target: str, number: signal.Signals) -> tuple[int, ...]:
         return (0,)
     if number != signal.SIGKILL:
         return (0, 128 + number)
-    # A pool may survive its workers.
-    return (0, -number) if target == "main process" else (0, 3)
+    # A run survives its workers.
+    return (0, -number) if target == "main process" else (0,)
 
 
 def _send(victim: Victim, process: Forked, target: str, number: signal.Signals, rng: random.Random) -> None:

@@ -391,3 +391,17 @@ def test_a_store_of_an_earlier_format_is_refused_with_the_remedy(tmp_path: Path)
             pytest.fail("it was opened")
         with old, store.reading():
             pytest.fail("it was opened")
+
+
+def test_a_file_whose_making_ended_early_is_an_empty_store(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    with closing(sqlite3.connect(store.path)) as connection:
+        connection.execute("PRAGMA page_size = 65536")
+        connection.execute("PRAGMA journal_mode = WAL")
+    assert store.path.stat().st_size > 0
+    assert (_count(store), _read(store)) == (0, [])
+    store.check()
+    with store.writing() as writer:
+        writer.add({}, [("k", _scores(1))])
+        assert writer.mended == ""
+    assert _trials(store) == [1]
