@@ -54,6 +54,7 @@ bench: $(VENV)/ready ## Measure speed and memory, and print ratios
 	@$(BIN)/python -m tests.benchmarks
 
 torture: $(VENV)/ready ## Kill, damage and starve runs, count what is lost (TORTURE="--only NAME --count N --seed S")
+	@$(BIN)/python -m pytest -m long tests/robustness
 	@$(BIN)/python -m tests.torture $(TORTURE)
 
 schema: $(VENV)/ready ## Write docs/config.schema.json anew

@@ -199,6 +199,7 @@ def test_one_worker_that_is_not_as_it_must_be_is_named_before_the_first_trial(
     assert not cluster.lab.store.exists() or not cluster.lab.trials()
 
 
+@pytest.mark.long
 def test_a_worker_without_hident_is_named(cluster: Cluster) -> None:
     cluster.worker("import sys\nsys.modules['hident.engine.work'] = None\n")
     error = cluster.run(code=2).partition("error: ")[2]
@@ -206,6 +207,7 @@ def test_a_worker_without_hident_is_named(cluster: Cluster) -> None:
     assert "hident cannot be used there (ModuleNotFoundError(" in error
 
 
+@pytest.mark.long
 def test_a_worker_that_joins_later_is_asked_too(held: Cluster, serial: dict[str, bytes]) -> None:
     held.worker()
     process = held.begin()
@@ -219,6 +221,7 @@ def test_a_worker_that_joins_later_is_asked_too(held: Cluster, serial: dict[str,
     assert _files(held.lab) == serial
 
 
+@pytest.mark.long
 def test_a_worker_that_has_loaded_what_has_changed_since_is_refused(cluster: Cluster) -> None:
     cluster.lab.probe()
     worker = cluster.worker()
@@ -260,6 +263,7 @@ def test_a_scheduler_that_is_gone_ends_the_run_and_the_next_one_resumes(
     assert _files(held.lab) == serial
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("on", [(), ("--executor", "dask", "--jobs", "2")], ids=["standing", "local"])
 @pytest.mark.parametrize("times", [1, 2])
 def test_interrupt_keeps_what_is_in_flight_and_a_second_one_stops_at_once(
