@@ -182,7 +182,7 @@ class Store:
                         f"{_FORMAT}: move it aside, or name another with --store"
                     )
                 connection.execute("PRAGMA synchronous = NORMAL")
-                connection.execute("PRAGMA wal_autocheckpoint = 64")
+                connection.execute("PRAGMA wal_autocheckpoint = 1000")
             yield connection
         finally:
             with self.guarding():

@@ -23,7 +23,11 @@ def tally():
     assert made.sound, made.table()
 
 
-@pytest.mark.parametrize("kind", [disk, results, store, together], ids=lambda kind: kind.__name__)
+# Full disks, runs at once and misdeeds have shorter tests in test_store_faults.py and its neighbours.
+_LONG = [pytest.param(kind, marks=pytest.mark.long) for kind in (disk, together)]
+
+
+@pytest.mark.parametrize("kind", [results, store, *_LONG], ids=lambda kind: kind.__name__)
 def test_few_faults(kind: ModuleType, tally: Tally) -> None:
     kind.torture(tally, random.Random(1), 1)
 
@@ -34,6 +38,7 @@ def test_few_kills(tally: Tally, monkeypatch: pytest.MonkeyPatch) -> None:
     kills.torture(tally, random.Random(1), 4)
 
 
+@pytest.mark.long
 def test_few_misdeeds(tally: Tally, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "MISDEEDS", {name: workers.MISDEEDS[name] for name in _FEW})
     workers.torture(tally, random.Random(1), 1)
