@@ -37,6 +37,14 @@ settings.register_profile(
 )
 settings.load_profile("suite")
 
+HOLD = """
+if len(record) == 80:
+    Path("reached").touch()
+    while Path("hold").exists():
+        time.sleep(0.005)
+"""
+"""For a probe: the cases with 80 samples wait for as long as the file `hold` is there."""
+
 TINY: dict[str, Any] = {
     "version": 1,
     "title": "Tiny",

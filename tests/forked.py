@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -155,7 +156,11 @@ def _warn_as_python_does() -> None:
 
 
 def _forget_helpers() -> None:
-    """The processes by which multiprocessing starts others are no children of this one: it has its own."""
+    """The processes by which multiprocessing starts others are no children of this one: it has its own.
+
+    So is the folder of their sockets.
+    """
+    multiprocessing.current_process()._config.pop("tempdir", None)  # type: ignore[attr-defined]
     forkserver._forkserver.__init__()  # type: ignore[misc]
     resource_tracker._resource_tracker.__init__()  # type: ignore[misc]
 

@@ -218,14 +218,16 @@ class _Run:
             if attempt is None:
                 return
             chunk, of = attempt.chunk, (self._plan.seed, self._plan.perturbation, self._limit)
+            # Before: an executor without workers is in the trials until it returns.
+            self._progress.begins(chunk.described())
             try:
                 future = self._workers.submit(compute, chunk.case.data, chunk.jobs(), chunk.wanted(), *of)
             except BrokenExecutor:
+                self._progress.ends(chunk.described())
                 self._queue.back(attempt)
                 self._renew()
             else:
                 self._pending[future] = attempt
-                self._progress.begins(chunk.described())
 
     def _collect(self) -> None:
         done = wait(self._pending, _POLL_SECONDS, FIRST_COMPLETED).done

@@ -295,6 +295,8 @@ class Reader:
 
     def __init__(self, connection: sqlite3.Connection | None, store: Store) -> None:
         self._connection, self._store = connection, store
+        self._damaged: list[tuple[int]] = []
+        """The rows that were met and hold no block of their key."""
 
     def _rows(self, query: str, *values: Any) -> Iterator[tuple[Any, ...]]:
         if self._connection is None:
@@ -311,10 +313,12 @@ class Reader:
 
     def trials(self, key: str, below: int) -> Iterator[Scores]:
         """The stored scores of a key in trials with numbers under ``below``, in order."""
-        query = "SELECT data FROM blocks WHERE key = ? AND first < ? ORDER BY first"
-        for (data,) in self._rows(query, key, below):
+        query = "SELECT rowid, data FROM blocks WHERE key = ? AND first < ? ORDER BY first"
+        for row, data in self._rows(query, key, below):
             block = Block.decoded(data)
-            if block is not None and block.key == key and (scores := block.scores.below(below)).trials.size:
+            if block is None or block.key != key:
+                self._damaged.append((row,))
+            elif (scores := block.scores.below(below)).trials.size:
                 yield scores
 
     def counted(self, key: str, below: int) -> Count:
@@ -355,10 +359,12 @@ class Writer(Reader):
         described = [(key, json.dumps(unit, sort_keys=True)) for key, unit in units.items()]
         with self._store.guarding(), self._connection:
             self._connection.executemany("INSERT OR IGNORE INTO units VALUES (?, ?)", described)
-            # Where trials are computed that a block should hold, it is damaged.
+            self._connection.executemany("DELETE FROM blocks WHERE rowid = ?", self._damaged)
+            self._damaged.clear()
+            # Equal estimators under two names have one key, and each is computed.
             self._connection.executemany(
-                "DELETE FROM blocks WHERE key = ? AND first BETWEEN ? AND ?",
-                [(key, first, first + count - 1) for key, first, count, *_ in rows],
+                "DELETE FROM blocks WHERE key = ? AND first >= ? AND first + count <= ?",
+                [(key, first, first + count) for key, first, count, *_ in rows],
             )
             self._connection.executemany(_INSERT, rows)
 

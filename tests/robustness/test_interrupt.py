@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.conftest import HOLD
 from tests.forked import GUARD_SECONDS
 
 if TYPE_CHECKING:
@@ -20,19 +21,12 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="signals and /proc")
 
-# The cases with 80 samples wait for as long as the file `hold` is there.
-_HOLD = """
-if len(record) == 80:
-    Path("reached").touch()
-    while Path("hold").exists():
-        time.sleep(0.005)
-"""
 _RESUMES = "interrupted: all stored trials are kept in .hident; the same command resumes"
 
 
 @pytest.fixture
 def held(lab: Lab) -> Lab:
-    lab.probe(_HOLD)
+    lab.probe(HOLD)
     (lab.folder / "hold").touch()
     return lab
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.conftest import HOLD
 from tests.forked import Forked
 
 if TYPE_CHECKING:
@@ -18,19 +19,13 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="signals and /proc")
 
-_HOLD = """
-if len(record) == 80:
-    Path("reached").touch()
-    while Path("hold").exists():
-        time.sleep(0.005)
-"""
 _WATCH = ("status", "tiny.yaml", "--watch", "--interval", "0.1")
 
 
 @pytest.fixture
 def held(lab: Lab) -> Lab:
     """A run that waits in its second case."""
-    lab.probe(_HOLD)
+    lab.probe(HOLD)
     (lab.folder / "hold").touch()
     lab.start("run", "tiny.yaml", "--jobs", "1", log="run.txt")
     lab.await_((lab.folder / "reached").exists)

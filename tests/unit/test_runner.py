@@ -433,3 +433,17 @@ def test_a_store_that_forgets_while_the_run_goes_is_told_so(
     monkeypatch.setattr("hident.engine.runner._HELD", 0)
     with pytest.raises(StoreError, match="the trials store was changed while the run was going"):
         run(_plan(lab), store=Forgetful())
+
+
+def test_what_is_begun_is_told_before_it_is_computed(lab: Lab) -> None:
+    told = Told()
+
+    class Asking(Counting):
+        """Runs each call at once, if it was told of."""
+
+        def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+            assert len(told.begun) == len(told.came_back) + 1
+            return super().submit(fn, *args, **kwargs)
+
+    run(_plan(lab), executor=Asking(), progress=told)
+    assert told.begun == told.came_back != []

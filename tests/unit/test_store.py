@@ -168,15 +168,26 @@ def test_a_block_under_another_key_is_none(tmp_path: Path) -> None:
     assert _read(store, "k") == _read(store, "l") == []
 
 
-def test_what_is_computed_again_takes_the_place_of_damaged_blocks(tmp_path: Path) -> None:
+@pytest.mark.parametrize("parts", [((0, 1), (2, 3, 4)), ((3, 4), (0, 1, 2)), ((0, 1, 2, 3, 4),)])
+def test_what_is_computed_again_takes_the_place_of_damaged_blocks(
+    tmp_path: Path, parts: tuple[tuple[int, ...], ...]
+) -> None:
     store = _filled(tmp_path, 5)
     with closing(sqlite3.connect(store.path)) as connection, connection:
         connection.execute("UPDATE blocks SET data = x'00'")
     with store.writing() as writer:
-        for trials in ((0, 1), (2, 3, 4)):
+        assert list(writer.trials("k", 5)) == []
+        for trials in parts:
             writer.add({}, [("k", _scores(*trials))])
     assert _trials(store) == [0, 1, 2, 3, 4]
     assert _count(store) == 5
+
+
+def test_a_part_of_a_block_that_is_added_again_takes_nothing_away(tmp_path: Path) -> None:
+    store = _filled(tmp_path, 5)
+    with store.writing() as writer:
+        writer.add({}, [("k", _scores(0)), ("k", _scores(2))])
+    assert {*_trials(store)} == {0, 1, 2, 3, 4}
 
 
 def test_full_disk_under_the_lock_is_told_by_its_number_and_not_by_its_words(
