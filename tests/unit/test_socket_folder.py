@@ -24,7 +24,7 @@ def test_the_folder_stays_where_it_holds_anything_else(
     socket.touch()
     if shared:
         other.touch()
-    monkeypatch.setattr(forkserver._forkserver, "_forkserver_address", str(socket))  # type: ignore[attr-defined]
+    monkeypatch.setattr(forkserver._forkserver, "_forkserver_address", str(socket))
     socket_folder._remove()
     assert not socket.exists()
     assert (folder.exists(), other.exists()) == (shared, shared)
@@ -34,5 +34,5 @@ def test_the_folder_stays_where_it_holds_anything_else(
 def test_what_is_no_socket_of_multiprocessing_is_left_alone(
     monkeypatch: pytest.MonkeyPatch, address: object
 ) -> None:
-    monkeypatch.setattr(forkserver._forkserver, "_forkserver_address", address)  # type: ignore[attr-defined]
+    monkeypatch.setattr(forkserver._forkserver, "_forkserver_address", address)
     socket_folder._remove()
