@@ -66,6 +66,10 @@ class _Alarm(BaseException):
     """What ends the work: no Exception, which an estimator may catch."""
 
 
+def _arrive() -> None:
+    """A call, at the beginning of which the interpreter looks for what was raised in its thread."""
+
+
 class _Work:
     """One call under the clock."""
 
@@ -104,9 +108,9 @@ class _Work:
         while True:
             try:
                 self._turn.acquire()
-                if self.alarmed:
-                    # One that was raised and has not arrived yet.
-                    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(self._thread), None)
+                # One that was raised and has not arrived yet does so in the next call. To take it back would
+                # leave a mark on the interpreter, with which 3.11 hangs under a debugger.
+                _arrive()
             except _Alarm:
                 continue
             return

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib
+import subprocess
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -13,6 +15,7 @@ import pytest
 
 from hident.engine import clock
 from hident.engine.clock import Clock, Limit, TookTooLong
+from tests.forked import GUARD_SECONDS
 
 
 def _loop() -> None:
@@ -98,6 +101,7 @@ def test_work_that_a_module_does_while_it_is_imported_is_ended(tmp_path, monkeyp
     (tmp_path / "works_at_once.py").write_text(
         """
 from hident.engine.clock import Clock, Limit, TookTooLong
+from tests.forked import GUARD_SECONDS
 
 def work():
     while True:
@@ -139,3 +143,15 @@ def test_no_alarm_leaves_the_call_that_it_is_for(monkeypatch):
                 limited.limited(functools.partial(sum, range(turns)))
             done += 1
     assert done == 2000
+
+
+def test_alarms_leave_nothing_behind_that_a_debugger_would_hang_on():
+    code = """
+import sys
+from tests.unit import test_clock
+with test_clock.pytest.MonkeyPatch.context() as patch:
+    test_clock.test_no_alarm_leaves_the_call_that_it_is_for(patch)
+sys.setprofile(lambda *event: None)
+(lambda: None)()
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=GUARD_SECONDS)
