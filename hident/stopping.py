@@ -16,6 +16,7 @@ from types import FrameType
 _OTHERS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 SIGNALS = (signal.SIGINT, *_OTHERS)
 _received: list[int] = []
+_waiting: list[threading.Event] = []
 
 
 def listen() -> None:
@@ -56,6 +57,25 @@ def postponed() -> Iterator[None]:
             signal.raise_signal(number)
 
 
+@contextmanager
+def deferred() -> Iterator[threading.Event]:
+    """The first signal sets the event instead of raising KeyboardInterrupt; the next one raises it."""
+    event = threading.Event()
+    before = signal.getsignal(signal.SIGINT)
+    in_main = threading.current_thread() is threading.main_thread()
+    if not in_main or before not in (signal.default_int_handler, signal.SIG_IGN):
+        yield event
+        return
+    if before is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, _end)
+    _waiting.append(event)
+    try:
+        yield event
+    finally:
+        _waiting.clear()
+        signal.signal(signal.SIGINT, before)
+
+
 def exit_code() -> int:
     """128 and the number of the signal that came first, as shells have it; that of Ctrl-C if none did."""
     return 128 + (_received[0] if _received else signal.SIGINT)
@@ -64,7 +84,13 @@ def exit_code() -> int:
 def _interrupt(number: int, frame: FrameType | None) -> None:
     _received.append(number)
     handler = signal.getsignal(signal.SIGINT)
-    # Where a shell lets this process ignore Ctrl-C, as in the background of a script, nothing else stands in.
-    if not callable(handler):
+    # A shell lets this process ignore Ctrl-C in the background of a script, and this one not.
+    (handler if callable(handler) else _end)(signal.SIGINT, frame)
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    if not _waiting:
         raise KeyboardInterrupt
-    handler(signal.SIGINT, frame)
+    if signal.getsignal(signal.SIGINT) is _end:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    _waiting.pop().set()

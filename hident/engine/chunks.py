@@ -15,7 +15,8 @@ from hident.engine.experiment import Label
 from hident.engine.trial import Data, Job, Outcome, run_trials
 from hident.engine.unit_trials import UnitTrials
 
-_SECONDS = 0.25
+SECONDS = 0.25
+"""What a chunk is meant to take."""
 _LARGEST = 1000
 
 
@@ -38,7 +39,7 @@ class Case:
         """What its units lack, in chunks that are judged by the trials that are finished."""
         waiting = np.flatnonzero(np.any([unit.trials_missing() for unit in self.units], axis=0))
         while len(waiting):
-            size = int(_SECONDS / self.seconds) if self.seconds else 1
+            size = int(SECONDS / self.seconds) if self.seconds else 1
             trials, waiting = np.split(waiting, [max(1, min(size, _LARGEST))])
             yield Chunk.of(self, trials.tolist())
 

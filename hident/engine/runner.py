@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
@@ -12,6 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from hident import stopping
 from hident.engine.chunks import Chunk, all_chunks
 from hident.engine.clock import Limit
 from hident.engine.executors import Given, SerialExecutor, WorkerDied, Workers, WorkersGone
@@ -203,7 +203,7 @@ class _Run:
         self._workers.start()
         # Alone, this process is inside a trial at Ctrl-C, and need not wait for another one.
         alone = nullcontext(threading.Event())
-        with _interrupt_deferred() if self._workers.most > 1 else alone as interrupted:
+        with stopping.deferred() if self._workers.most > 1 else alone as interrupted:
             self._submit()
             while self._pending and not interrupted.is_set():
                 self._collect()
@@ -316,27 +316,6 @@ class _Run:
         said = f"{self._plan.name}: trial {trial} of {unit.described()}: {reason}"
         of = {"config": self._plan.name, "case": unit.labels, "estimator": unit.name, "trial": trial}
         warn(event, said, **of, reason=reason)
-
-
-@contextmanager
-def _interrupt_deferred() -> Iterator[threading.Event]:
-    """The first Ctrl-C sets the event instead of raising KeyboardInterrupt; the next one raises it."""
-    event = threading.Event()
-    usual = signal.default_int_handler
-    in_main = threading.current_thread() is threading.main_thread()
-    if not in_main or signal.getsignal(signal.SIGINT) is not usual:
-        yield event
-        return
-
-    def first(number: int, frame: object) -> None:
-        signal.signal(signal.SIGINT, usual)
-        event.set()
-
-    signal.signal(signal.SIGINT, first)
-    try:
-        yield event
-    finally:
-        signal.signal(signal.SIGINT, usual)
 
 
 def _fate(*, kept: bool) -> str:

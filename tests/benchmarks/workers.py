@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import importlib.util
 import tempfile
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+from hident.engine import chunks
+from hident.engine.executors import Workers, named_executor
+from hident.engine.experiment import Plan, load
+from hident.engine.runner import Silent, run
+from hident.engine.store import Store
 from tests.benchmarks.startup import hident
 from tests.benchmarks.timing import figure, interleaved, show
 
@@ -22,14 +28,23 @@ _ROUNDS = 3
 
 
 def main() -> None:
+    by = ["processes"]
+    if importlib.util.find_spec("distributed"):
+        by.append("dask")
+    throughput(with_dask="dask" in by)
+    handling(by)
+
+
+def throughput(*, with_dask: bool) -> None:
+    """Trials per second of whole commands."""
     rows = []
     for config, (settings, trials) in _RUNS.items():
         ways: dict[str, Callable[[], object]] = {
-            "1 process": partial(run, config, settings, trials, 1),
-            "2 processes": partial(run, config, settings, trials, 2),
+            "1 process": partial(run_command, config, settings, trials, 1),
+            "2 processes": partial(run_command, config, settings, trials, 2),
         }
-        if importlib.util.find_spec("distributed"):
-            ways["2 Dask workers"] = partial(run, config, settings, trials, 2, "--executor", "dask")
+        if with_dask:
+            ways["2 Dask workers"] = partial(run_command, config, settings, trials, 2, "--executor", "dask")
         taken = interleaved(ways, _ROUNDS)
         for way, seconds in taken.items():
             ratios = taken.ratios("1 process", way)
@@ -46,7 +61,7 @@ def main() -> None:
     )
 
 
-def run(config: str, settings: list[str], trials: int, jobs: int, *more: str) -> None:
+def run_command(config: str, settings: list[str], trials: int, jobs: int, *more: str) -> None:
     """Compute all trials, with an empty store."""
     with tempfile.TemporaryDirectory() as folder:
         hident(
@@ -54,3 +69,53 @@ def run(config: str, settings: list[str], trials: int, jobs: int, *more: str) ->
             *("--trials", str(trials), "--jobs", str(jobs)),
             *("--out", str(Path(folder, "out")), "--store", str(Path(folder, "store"))),
         )
+
+
+def handling(executors: list[str]) -> None:
+    """What a chunk costs the process that gives it out and stores it: that much of each is not divided."""
+    rows = []
+    for config, (settings, trials) in _RUNS.items():
+        for name in executors:
+            taken = [of_chunk(config, settings, trials, name) for _ in range(_ROUNDS)]
+            milliseconds = [1e3 * one for one, _ in taken]
+            figure(f"{config}: milliseconds of the main process for a chunk, {name}", milliseconds)
+            middle = sorted(milliseconds)[_ROUNDS // 2]
+            most = 1e3 * chunks.SECONDS / middle
+            rows.append([config, name, f"{taken[0][1]:.0f}", f"{middle:.1f}", f"{most:.0f}"])
+    show(
+        f"Processor time of the main process for a chunk of {chunks.SECONDS} s, and the workers it can serve",
+        ("configuration", "executor", "trials of a chunk", "ms", "workers"),
+        rows,
+        ("Dask's scheduler is in that process here; one that stands alone takes its part of it away",),
+    )
+
+
+def of_chunk(config: str, settings: list[str], trials: int, name: str) -> tuple[float, float]:
+    """Seconds of this process for a chunk by two workers, and how many trials that has."""
+    plan = load(Path(f"configs/{config}.yaml"), [*settings, "figures={}"], {"trials": trials})
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        named_executor(name, None, 2, (), [plan]) as executor,
+        Store(Path(folder)).writing() as store,
+    ):
+        warm(executor, plan)
+        counted = _Counted()
+        start = time.process_time()
+        run(plan, store=store, executor=executor, progress=counted)
+        computed = time.process_time()
+        # What is not of the chunks: to read what is stored, and to make the results of it.
+        run(plan, store=store, executor=executor)
+        taken = 2 * computed - start - time.process_time()
+    return taken / counted.chunks, trials * len(plan.units) / counted.chunks
+
+
+def warm(executor: Workers, plan: Plan) -> None:
+    """Let the workers have loaded everything."""
+    run(plan.changed(trials=4), executor=executor)
+
+
+class _Counted(Silent):
+    chunks = 0
+
+    def ends(self, work: str) -> None:
+        self.chunks += 1

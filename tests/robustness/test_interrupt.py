@@ -60,14 +60,27 @@ def test_first_interrupt_of_a_pool_keeps_what_is_in_flight(held: Lab, uninterrup
 
 
 @pytest.mark.parametrize(
-    ("number", "whole_group"),
-    [(signal.SIGTERM, True), (signal.SIGTERM, False), (signal.SIGHUP, True)],
-    ids=["SIGTERM to all", "SIGTERM to one", "SIGHUP to all"],
+    ("number", "whole_group", "ignored"),
+    [
+        (signal.SIGTERM, True, []),
+        (signal.SIGTERM, False, []),
+        (signal.SIGHUP, True, []),
+        (signal.SIGTERM, False, [signal.SIGINT]),
+    ],
+    ids=["SIGTERM to all", "SIGTERM to one", "SIGHUP to all", "SIGTERM in the background of a script"],
 )
 def test_other_signals_end_a_pool_as_an_interrupt_does(
-    held: Lab, number: signal.Signals, whole_group: bool, uninterrupted: bytes
+    held: Lab,
+    number: signal.Signals,
+    whole_group: bool,
+    ignored: list[signal.Signals],
+    uninterrupted: bytes,
 ) -> None:
-    process = held.start("run", "tiny.yaml", "--jobs", "2")
+    def prepare() -> None:
+        for other in ignored:
+            signal.signal(other, signal.SIG_IGN)
+
+    process = held.start("run", "tiny.yaml", "--jobs", "2", preexec_fn=prepare)
     held.await_((held.folder / "reached").exists)
     (os.killpg if whole_group else os.kill)(process.pid, number)
     held.await_(lambda: "stopping when the trials in flight are stored" in held.log)

@@ -72,7 +72,7 @@ def test_by_processes(name: str, files: dict[str, bytes], pool: tuple[Executor, 
 def test_in_chunks_of_any_size(
     name: str, files: dict[str, bytes], size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hident.engine.chunks._SECONDS", 1e9)
+    monkeypatch.setattr("hident.engine.chunks.SECONDS", 1e9)
     monkeypatch.setattr("hident.engine.chunks._LARGEST", size)
     assert _files(run(_plan(name)), tmp_path) == files
 
