@@ -1,10 +1,10 @@
-"""What a worker is given at once: some trials of one case, as many as take about a quarter of a second."""
+"""What a worker is given at once: some trials of one case, as many as take :func:`lasting`."""
 
 from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,8 +16,18 @@ from hident.engine.trial import Data, Job, Outcome, run_trials
 from hident.engine.unit_trials import UnitTrials
 
 SECONDS = 0.25
-"""What a chunk is meant to take."""
-_LARGEST = 1000
+"""What a chunk is meant to take, at least."""
+_SECONDS_OF_EACH = 0.04
+# Each of its trials and estimators stands alone where its workers die.
+_LARGEST = 10_000
+
+
+def lasting(workers: int) -> float:
+    """The seconds that a chunk is meant to take: so many that one process can serve the workers.
+
+    To give out a chunk and to store it takes that process some milliseconds, with Dask some twenty.
+    """
+    return max(SECONDS, _SECONDS_OF_EACH * workers)
 
 
 def in_common(labels: Iterable[Mapping[str, Label]]) -> dict[str, Label]:
@@ -35,13 +45,19 @@ class Case:
     seconds: float = 0.0
     """Measured seconds for one trial."""
 
-    def chunks(self) -> Iterator[Chunk]:
+    def chunks(self, workers: Callable[[], int]) -> Iterator[Chunk]:
         """What its units lack, in chunks that are judged by the trials that are finished."""
         waiting = np.flatnonzero(np.any([unit.trials_missing() for unit in self.units], axis=0))
         while len(waiting):
-            size = int(SECONDS / self.seconds) if self.seconds else 1
-            trials, waiting = np.split(waiting, [max(1, min(size, _LARGEST))])
+            trials, waiting = np.split(waiting, [self._size(len(waiting), max(1, workers()))])
             yield Chunk.of(self, trials.tolist())
+
+    def _size(self, waiting: int, workers: int) -> int:
+        """The trials of the next chunk, which become fewer to the end, so that no worker waits long there."""
+        if not self.seconds:
+            return 1
+        fair = max(SECONDS / self.seconds, waiting / (2 * workers))
+        return max(1, min(int(min(lasting(workers) / self.seconds, fair)), _LARGEST))
 
 
 @dataclass
@@ -94,15 +110,16 @@ class Chunk:
         return [task.trials for task in self.tasks]
 
 
-def all_chunks(units: Iterable[UnitTrials]) -> Iterator[Chunk]:
+def all_chunks(units: Iterable[UnitTrials], workers: Callable[[], int]) -> Iterator[Chunk]:
     """What the units lack: the first chunk of every case, which is one trial, and then case by case.
 
-    So the first trials show what the whole costs, and a case that crashes does so early.
+    So the first trials show what the whole costs, and a case that crashes does so early. ``workers`` says how
+    many there are.
     """
     cases: dict[int, Case] = {}
     for unit in units:
         cases.setdefault(unit.unit.data.key, Case(unit.unit.data)).units.append(unit)
-    rests = [case.chunks() for case in cases.values()]
+    rests = [case.chunks(workers) for case in cases.values()]
     firsts = itertools.chain.from_iterable(itertools.islice(rest, 1) for rest in rests)
     return itertools.chain(firsts, *rests)
 

@@ -141,7 +141,7 @@ class _Run:
             for of in zip(plan.units, plan.keys, strict=True)
         ]
         # Made one by one, as they are asked for.
-        self._queue = Queue(all_chunks(self._units))
+        self._queue = Queue(all_chunks(self._units, lambda: workers.count))
         self._pending: dict[Future[Done], Attempt] = {}
         self._idle_losses = 0
         self._crashes: list[Crash] = []

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+from hident import plugins
 from hident.engine import chunks
 from hident.engine.executors import Workers, named_executor
 from hident.engine.experiment import Plan, load
@@ -19,7 +20,7 @@ from tests.benchmarks.timing import figure, interleaved, show
 
 # A configuration of each paper, with the trials of a run of some seconds.
 _RUNS = {
-    "mzyk_table1": (["--set", "cases.samples=[3000]"], 2000),
+    "mzyk_table1": (["cases.samples=[3000]"], 2000),
     "wang_table1": ([], 2000),
     "chen_table2": ([], 10),
     "brouri_gains": ([], 60),
@@ -31,6 +32,7 @@ def main() -> None:
     by = ["processes"]
     if importlib.util.find_spec("distributed"):
         by.append("dask")
+    plugins.load()
     throughput(with_dask="dask" in by)
     handling(by)
 
@@ -65,7 +67,8 @@ def run_command(config: str, settings: list[str], trials: int, jobs: int, *more:
     """Compute all trials, with an empty store."""
     with tempfile.TemporaryDirectory() as folder:
         hident(
-            *("run", f"configs/{config}.yaml", "--quiet", "--set", "figures={}", *settings, *more),
+            *("run", f"configs/{config}.yaml", "--quiet", *more),
+            *(argument for one in ["figures={}", *settings] for argument in ("--set", one)),
             *("--trials", str(trials), "--jobs", str(jobs)),
             *("--out", str(Path(folder, "out")), "--store", str(Path(folder, "store"))),
         )

@@ -15,6 +15,7 @@ import pytest
 
 from hident import plugins
 from hident.engine import fingerprint
+from hident.engine.chunks import Case
 from hident.engine.executors import make_executor
 from hident.engine.experiment import Unit, load
 from hident.engine.results import Results
@@ -241,6 +242,41 @@ def test_chunks_grow_to_about_a_quarter_of_a_second(lab: Lab, monkeypatch: pytes
     _run(lab, plan, "fast", fast)
     assert fast.calls == 2
     assert slow.calls > 20
+
+
+class Lacking:
+    """A unit that lacks so many trials."""
+
+    def __init__(self, trials: int) -> None:
+        self._trials = trials
+
+    def trials_missing(self) -> Any:
+        return np.ones(self._trials, dtype=bool)
+
+    def lacking(self, trials: list[int]) -> list[Any]:
+        return []
+
+
+@pytest.mark.parametrize(
+    ("workers", "trials", "first", "last"),
+    [
+        (0, 1000, 25, 25),
+        (6, 1000, 25, 25),
+        (100, 10**6, 400, 25),
+        (100, 10_000, 50, 25),
+        (1000, 10**7, 4000, 25),
+    ],
+)
+def test_chunks_of_many_workers_take_longer_but_not_at_the_end(
+    workers: int, trials: int, first: int, last: int
+) -> None:
+    units: list[Any] = [Lacking(trials)]
+    data: Any = None
+    case = Case(data, units, seconds=0.01)
+    sizes = [len(chunk.trials) for chunk in case.chunks(lambda: workers)]
+    assert (sizes[0], sizes[-2]) == (first, last)
+    assert sum(sizes) == trials
+    assert sizes[:-1] == sorted(sizes[:-1], reverse=True)
 
 
 def test_failed_estimates_are_stored_and_not_recomputed(lab: Lab) -> None:
