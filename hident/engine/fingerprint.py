@@ -95,7 +95,7 @@ def _of_module(module: str, *, shown: bool) -> tuple[str, tuple[str, ...]]:
     is_package = _file_and_folders(module)[1] is not None
     package = getattr(loaded, "__package__", module if is_package else module.rpartition(".")[0]) or ""
     imports = set()
-    for node in ast.walk(tree if shown else ast.Module(kept, [])):
+    for node in _statements(tree if shown else ast.Module(kept, [])):
         if isinstance(node, ast.Import):
             imports |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -111,9 +111,21 @@ def _of_module(module: str, *, shown: bool) -> tuple[str, tuple[str, ...]]:
 def _code(source: bytes) -> ast.Module:
     """The syntax tree without docstrings."""
     tree = ast.parse(source)
-    for node in ast.walk(tree):
+    for node in _statements(tree):
         _strip_docstring(node)
     return tree
+
+
+def _statements(tree: ast.AST) -> Iterator[ast.AST]:
+    """The tree and what is in it down to single statements, of which no expression holds one."""
+    waiting = [tree]
+    while waiting:
+        yield (node := waiting.pop())
+        for part in ("body", "orelse", "finalbody", "handlers", "cases"):
+            inner = getattr(node, part, None)
+            # That of a lambda or a conditional expression is one.
+            if isinstance(inner, list):
+                waiting += inner
 
 
 def _computing(statements: list[ast.stmt], loaded: ModuleType) -> list[ast.stmt]:
@@ -234,7 +246,12 @@ def _folders(package: str) -> list[str]:
 def _path(module: str) -> Path | None:
     """The source file of a module, if it has one."""
     file = _file_and_folders(module)[0]
-    return Path(file).resolve() if file is not None and file.endswith(".py") else None
+    return _resolved(file) if file is not None and file.endswith(".py") else None
+
+
+@cache
+def _resolved(file: str) -> Path:
+    return Path(file).resolve()
 
 
 def _file_and_folders(module: str) -> tuple[str | None, Iterable[str] | None]:
