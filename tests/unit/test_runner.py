@@ -22,6 +22,7 @@ from hident.engine.results import Results
 from hident.engine.runner import run, stored
 from hident.engine.scores import Scores
 from hident.engine.store import MemoryStore, Reader, Store
+from hident.engine.unit_trials import UnitTrials
 from hident.errors import ConfigError, StoreError, TrialsCrashed
 from hident.ledger.verdicts import judge
 from hident.reports.output import Outputs
@@ -277,6 +278,21 @@ def test_chunks_of_many_workers_take_longer_but_not_at_the_end(
     assert (sizes[0], sizes[-2]) == (first, last)
     assert sum(sizes) == trials
     assert sizes[:-1] == sorted(sizes[:-1], reverse=True)
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_trials_that_are_not_stored_are_read_beside_those_that_are(lab: Lab, held: bool) -> None:
+    plan, store = _plan(lab, trials=4), MemoryStore()
+    trials = UnitTrials(plan.units[0], plan.keys[0], 4, store, held=held)
+    of_metric = np.array([[0.5], [0.25], [np.nan]])
+    stored = Scores(np.array([0, 2, 3]), of_metric, {3: "singular"})
+    store.add({}, [(plan.keys[0]["a"], stored)])
+    trials.read()
+    trials.put("a", Scores(np.array([1]), np.array([[np.nan]]), {1: "took longer"}), stored=False)
+    assert trials.complete() == 4
+    [series] = trials.series()
+    np.testing.assert_array_equal(series.values, [0.5, np.nan, 0.25, np.nan])
+    assert sorted(series.reasons) == [("singular", 1), ("took longer", 1)]
 
 
 def test_failed_estimates_are_stored_and_not_recomputed(lab: Lab) -> None:
