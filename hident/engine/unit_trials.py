@@ -44,7 +44,7 @@ class _Gathered:
         """Take these scores, which the store has too or not."""
         self._check(scores)
         self.there[scores.trials] = True
-        if not stored:
+        if not stored and scores.trials.size:
             self._not_stored.append(scores)
         if self._held is not None:
             self._held.values[scores.trials] = scores.values

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 import signal
 import time
@@ -293,6 +294,20 @@ def test_trials_that_are_not_stored_are_read_beside_those_that_are(lab: Lab, hel
     [series] = trials.series()
     np.testing.assert_array_equal(series.values, [0.5, np.nan, 0.25, np.nan])
     assert sorted(series.reasons) == [("singular", 1), ("took longer", 1)]
+
+
+def test_of_very_many_trials_nothing_is_held(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Watching(Told):
+        def ends(self, work: str) -> None:
+            super().ends(work)
+            held.append(sum(isinstance(one, Scores) for one in gc.get_objects()))
+
+    held: list[int] = []
+    monkeypatch.setattr("hident.engine.runner._HELD", 0)
+    monkeypatch.setattr("hident.engine.chunks._LARGEST", 1)
+    _run(lab, _plan(lab, trials=12), progress=Watching())
+    assert len(held) == 24
+    assert held[-1] <= held[2]
 
 
 def test_failed_estimates_are_stored_and_not_recomputed(lab: Lab) -> None:
