@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from collections.abc import Iterable
@@ -98,6 +99,10 @@ Listed = StrEnum(
 )
 
 
+_LIMITS = {errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN}
+"""Files, memory and processes."""
+
+
 def main() -> None:
     """Entry point of the console script."""
     # This program opens no window; a notebook's backend, which may not be installed here, ends the import.
@@ -125,7 +130,15 @@ def _exit_code() -> int:
     except KeyboardInterrupt:
         return Exit.INTERRUPTED
     except BaseException as error:
-        _report(error.__cause__ if isinstance(error, _Unforeseen) and error.__cause__ else error)
+        cause = error.__cause__ if isinstance(error, _Unforeseen) and error.__cause__ else error
+        if isinstance(cause, OSError) and cause.errno in _LIMITS:
+            print(
+                f"error: the system gives this program no more ({cause.strerror}): raise its limits "
+                "(ulimit -a shows them), or run with fewer --jobs",
+                file=sys.stderr,
+            )
+            return Exit.BAD_INPUT
+        _report(cause)
         return Exit.UNFORESEEN
     return Exit.FINE
 

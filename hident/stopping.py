@@ -28,6 +28,12 @@ def listen() -> None:
             signal.signal(number, _interrupt)
 
 
+def may_interrupt() -> bool:
+    """Whether Ctrl-C and its like can raise KeyboardInterrupt here: in no worker, and in no other thread."""
+    in_main = threading.current_thread() is threading.main_thread()
+    return in_main and any(callable(signal.getsignal(number)) for number in SIGNALS)
+
+
 def ignore() -> None:
     """Let none of the signals disturb the end of this process."""
     for number in SIGNALS:

@@ -24,9 +24,16 @@ _TRIAL = "hident.engine.trial"
 # What shows results computes none.
 _SHOWS = ("hident.reports", "hident.ledger")
 _LIBRARY_FOLDERS = {"site-packages", "dist-packages"}
-# The version, the reading of configurations, the wording of messages: once the specs are made, no number
-# depends on them.
-_WORDS = {"hident", "hident.config.spec", "hident.config.load", "hident.config.suggest", "hident.errors"}
+# The version, the reading of configurations, the wording of messages, signals: once the specs are made, no
+# number depends on them.
+_WORDS = {
+    "hident",
+    "hident.config.spec",
+    "hident.config.load",
+    "hident.config.suggest",
+    "hident.errors",
+    "hident.stopping",
+}
 
 
 @cache

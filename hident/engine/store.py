@@ -12,6 +12,7 @@ from __future__ import annotations
 import errno
 import itertools
 import json
+import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -93,6 +94,7 @@ class Store:
             raise StoreError(f"{folder} is not a folder, as the trials store needs: --store names one")
         self.folder = folder
         self.path = folder / "trials.sqlite"
+        self._lock = folder / "lock"
 
     @contextmanager
     def writing(self, wait: float = 0.0) -> Iterator[Writer]:
@@ -105,12 +107,13 @@ class Store:
         StoreBusy
             If another run still holds it.
         """
+        self._check_files()
         with self._locked(wait):
             with self.guarding():
                 mended = self._mended()
                 left = [*blocks_in(self._beside("-wal"))]
             with self._connected(self.path, "rwc") as connection:
-                writer = Writer(connection, self, mended)
+                writer = Writer(connection, self, self.path, mended)
                 # Of a log with a damaged part, the library reads what stands before it alone.
                 writer.save(left)
                 yield writer
@@ -118,6 +121,7 @@ class Store:
     @contextmanager
     def reading(self) -> Iterator[Reader]:
         """Look into the store, while another may write; one that is not there is empty."""
+        self._check_files()
         if not self.path.exists():
             yield Reader(None, self)
             return
@@ -138,6 +142,15 @@ class Store:
         if fault:
             raise self._damaged(fault)
 
+    def _check_files(self) -> None:
+        for path in (self.path, self._lock, *(self._beside(suffix) for suffix in ("-wal", "-shm"))):
+            # A link may lead nowhere, or in a circle.
+            if os.path.lexists(path) and not path.is_file():
+                raise StoreError(
+                    f"{path} is no file, as the trials store needs: move it aside, or name another store "
+                    "with --store"
+                )
+
     @contextmanager
     def guarding(self) -> Iterator[None]:
         """Turn an error inside, which must be one of the store's own, into a message that says what to do."""
@@ -150,7 +163,7 @@ class Store:
     def _locked(self, wait: float) -> Iterator[None]:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            lock = FileLock(self.folder / "lock", timeout=wait)
+            lock = FileLock(self._lock, timeout=wait)
             lock.acquire()
         except Timeout:
             raise StoreBusy(
@@ -202,6 +215,9 @@ class Store:
                 if not _is_made(connection):
                     bare = connection.execute("SELECT COUNT(*) FROM sqlite_master").fetchone()[0] == 0
                     return "" if bare else "its header is damaged"
+                names = {name.decode() for (name,) in connection.execute("SELECT name FROM sqlite_master")}
+                if not {"units", "blocks", "places"} <= names:
+                    return "its tables are those of something else"
                 found = connection.execute("PRAGMA integrity_check(1)").fetchone()[0].decode()
                 reader = Reader(connection, self)
                 if _has_content(log) and not all(map(reader.has, blocks_in(self.path))):
@@ -229,7 +245,7 @@ class Store:
             for suffix in ("", "-wal", "-shm"):
                 self._beside(f".part{suffix}").unlink(missing_ok=True)
             with self._connected(part, "rwc") as connection:
-                writer = Writer(connection, self)
+                writer = Writer(connection, self, part)
                 for path in (self.path, self._beside("-wal")):
                     writer.save(blocks_in(path))
                 saved = writer.count()
@@ -280,6 +296,14 @@ class _Damaged(StoreError):
 
 def _is_made(connection: sqlite3.Connection) -> bool:
     return bool(connection.execute("PRAGMA user_version").fetchone()[0])
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def _has_content(path: Path) -> bool:
@@ -347,9 +371,11 @@ class Reader:
 class Writer(Reader):
     """The one writer of a file: a :class:`TrialStore`."""
 
-    def __init__(self, connection: sqlite3.Connection, store: Store, mended: str = "") -> None:
+    def __init__(self, connection: sqlite3.Connection, store: Store, path: Path, mended: str = "") -> None:
         super().__init__(connection, store)
         self._connection: sqlite3.Connection
+        # An estimator may go to another folder.
+        self._path, self._is = path.absolute(), _identity(path)
         self.mended = mended
         """What was saved of a damaged file; empty if it was sound."""
 
@@ -357,6 +383,12 @@ class Writer(Reader):
         """Write a chunk of scores, and what their keys stand for, in one transaction."""
         rows = [(*block.place, data) for key, found in scores for block, data in blocks_of(key, found)]
         described = [(key, json.dumps(unit, sort_keys=True)) for key, unit in units.items()]
+        # The system goes on writing a file that has no name any more.
+        if _identity(self._path) != self._is:
+            raise StoreError(
+                f"the trials store {self._path} was removed or replaced while the run was writing it: run "
+                "again"
+            )
         with self._store.guarding(), self._connection:
             self._connection.executemany("INSERT OR IGNORE INTO units VALUES (?, ?)", described)
             self._connection.executemany("DELETE FROM blocks WHERE rowid = ?", self._damaged)

@@ -14,6 +14,7 @@ from typing import Annotated, Any, NamedTuple, TypeVar
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
+from hident import stopping
 from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, Spec, canonical
 from hident.engine.clock import Clock, Limit, TookTooLong
@@ -260,10 +261,10 @@ def _attempt(make: Callable[[], T], clock: Clock) -> T | BaseException:
     try:
         with np.errstate(all="ignore"):
             return clock.limited(make)
-    except KeyboardInterrupt:
-        raise
     # Whatever a component raises, SystemExit and GeneratorExit too, must not end the run.
     except BaseException as error:
+        if isinstance(error, KeyboardInterrupt) and stopping.may_interrupt():
+            raise
         return error
 
 
@@ -356,13 +357,8 @@ class _Late(str):
 
 def _score(metric: MetricSpec, found: Estimate, record: Record, clock: Clock) -> Array | str | Crash:
     """The values of a metric; or why it failed; or its crash."""
-    try:
-        with np.errstate(all="ignore"):
-            return clock.limited(partial(_numbers, metric, found, record))
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:
-        return _failed(error, OF_METRIC)
+    values = _attempt(partial(_numbers, metric, found, record), clock)
+    return _failed(values, OF_METRIC) if isinstance(values, BaseException) else values
 
 
 def _numbers(metric: MetricSpec, found: Estimate, record: Record) -> Array:

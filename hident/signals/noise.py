@@ -99,7 +99,7 @@ class Autoregressive(_Additive):
     0.9
     """
 
-    a: Annotated[tuple[Real, ...], Field(min_length=1)]
+    a: Annotated[tuple[Real, ...], Field(min_length=1, max_length=200)]
     """Feedback coefficients a_1, ..., a_p."""
     of: Literal["noise", "innovation"] = "noise"
     """What the level is of: the noise itself (once stationary), or the white noise that drives it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from hident.arrays import Array
 from hident.config.spec import Component, Real
@@ -25,6 +25,8 @@ def _not_all_zero(b: tuple[float, ...]) -> tuple[float, ...]:
 
 Coefficients = Annotated[tuple[Real, ...], BeforeValidator(_as_list)]
 Numerator = Annotated[Coefficients, AfterValidator(_not_all_zero)]
+Feedback = Annotated[Coefficients, Field(max_length=200)]
+"""Coefficients of a denominator: to find its poles takes the third power of their number."""
 
 
 class NonlinearitySpec(Component):

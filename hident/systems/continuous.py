@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from hident.arrays import Array
 from hident.config.spec import Real, component
 from hident.linear_blocks import ContinuousTransferFunction
-from hident.systems.base import Coefficients, Numerator
+from hident.systems.base import Feedback, Numerator
 from hident.systems.linear import LinearSpec
 
 
@@ -25,7 +25,7 @@ class Continuous(LinearSpec):
     [0.607]
     """
 
-    a: Coefficients
+    a: Feedback
     """Coefficients a_1, ..., a_n of the output's derivatives, in powers of the unit of time."""
     b: Numerator = (1.0,)
     """Coefficients b_0, ..., b_m of the input and its derivatives, m < n."""

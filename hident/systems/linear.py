@@ -11,7 +11,7 @@ from pydantic import PlainValidator, TypeAdapter, WithJsonSchema, field_validato
 from hident.arrays import Array
 from hident.config.spec import Component, Real, component
 from hident.linear_blocks import SLOWEST, ContinuousTransferFunction, TransferFunction
-from hident.systems.base import Coefficients, Numerator
+from hident.systems.base import Feedback, Numerator
 
 _PAST_OUTPUTS: TypeAdapter[tuple[float, ...]] = TypeAdapter(tuple[Real, ...])
 
@@ -136,7 +136,7 @@ class Ar(DiscreteSpec):
     array([1.  , 0.5 , 0.25])
     """
 
-    a: Coefficients
+    a: Feedback
     """Feedback a_1, ..., a_p."""
     b0: Real = 1.0
     """Gain b_0 of the input."""
@@ -162,7 +162,7 @@ class Arma(_WithNumerator):
     array([1.  , 2.5 , 1.25])
     """
 
-    a: Coefficients
+    a: Feedback
     """Feedback a_1, ..., a_p."""
 
     def transfer_function(self) -> TransferFunction:

@@ -173,3 +173,10 @@ def test_what_an_estimator_does_to_its_process_does_not_disturb_the_run(lab: Lab
     assert done.stdout.startswith("# Tiny")
     assert "tiny: wrote out/tiny" in done.stderr
     assert lab.table == undisturbed
+
+
+def test_an_interrupt_that_an_estimator_raises_is_a_crash_in_a_worker(lab: Lab) -> None:
+    lab.probe("if len(record) == 80:\n    raise KeyboardInterrupt")
+    said = lab.run("--keep-going", "--jobs", "2", code=3)
+    assert "at samples 80 crashed (and 5 more): KeyboardInterrupt" in said
+    assert _probed(lab, 50) == 6

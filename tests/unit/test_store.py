@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import shutil
 import sqlite3
 from collections.abc import Callable, Iterator
@@ -416,3 +417,40 @@ def test_a_file_whose_making_ended_early_is_an_empty_store(tmp_path: Path) -> No
         writer.add({}, [("k", _scores(1))])
         assert writer.mended == ""
     assert _trials(store) == [1]
+
+
+@pytest.mark.parametrize("name", ["trials.sqlite", "trials.sqlite-wal", "trials.sqlite-shm", "lock"])
+@pytest.mark.parametrize(
+    "make",
+    [Path.mkdir, os.mkfifo, lambda path: path.symlink_to(path), lambda path: path.symlink_to("nowhere")],
+    ids=["folder", "fifo", "circle", "dangling"],
+)
+def test_what_stands_in_the_place_of_a_file_is_named(
+    tmp_path: Path, name: str, make: Callable[[Path], None]
+) -> None:
+    make(tmp_path / name)
+    store = Store(tmp_path)
+    for use in (store.writing, store.reading):
+        with pytest.raises(StoreError, match=f"{re.escape(name)} is no file, as"), use():
+            pass
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_a_database_of_something_else_is_set_aside(tmp_path: Path) -> None:
+    with closing(sqlite3.connect(tmp_path / "trials.sqlite")) as other:
+        other.executescript("PRAGMA user_version = 3; CREATE TABLE units (a); CREATE TABLE trials (a)")
+    with Store(tmp_path).writing() as writer:
+        assert "(its tables are those of something else): 0 scores are saved" in writer.mended
+    assert (tmp_path / "trials.sqlite.damaged-1").exists()
+
+
+@pytest.mark.parametrize("put", [None, b"other"], ids=["removed", "replaced"])
+def test_a_file_that_vanishes_while_it_is_written_is_noticed(tmp_path: Path, put: bytes | None) -> None:
+    store = Store(tmp_path)
+    with store.writing() as writer:
+        writer.add({}, [("key", _scores(0))])
+        store.path.unlink()
+        if put is not None:
+            store.path.write_bytes(put)
+        with pytest.raises(StoreError, match="was removed or replaced while the run was"):
+            writer.add({}, [("key", _scores(0))])

@@ -118,7 +118,7 @@ class KnownAr(Spec):
 
     kind: Literal["ar"]
     """The kind."""
-    a: Annotated[tuple[Real, ...], Field(min_length=1)]
+    a: Annotated[tuple[Real, ...], Field(min_length=1, max_length=200)]
     """Feedback coefficients a_1, ..., a_p of the noise."""
 
     @field_validator("a")

@@ -11,7 +11,7 @@ from hident.estimators.base import AtOneInterval
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.linear_blocks import TransferFunction, significant
 from hident.records import Estimate, Record
-from hident.systems.base import Coefficients, Numerator
+from hident.systems.base import Feedback, Numerator
 
 
 @component("estimator", "known_dynamics")
@@ -31,7 +31,7 @@ class KnownDynamics(AtOneInterval):
     identifies_dynamics: ClassVar[bool] = True
     holds = ("linear",)
 
-    a: Coefficients = ()
+    a: Feedback = ()
     """Feedback a_1, ..., a_p: v_k = a_1 v_{k-1} + ... + b_0 w_k + ..."""
     b: Numerator = (1.0,)
     """Numerator b_0, b_1, ..."""
