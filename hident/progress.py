@@ -57,6 +57,25 @@ def _stored(stored: int, total: int) -> str:
     return f"{total} trials" + (f", {stored} of them stored" if stored else "")
 
 
+class _Pace:
+    """How fast trials end, from the first one on: before, workers start and load what they need."""
+
+    def __init__(self) -> None:
+        self._first: tuple[int, float] | None = None
+        self._ended = 0
+
+    def advance(self, trials: int, now: float) -> None:
+        self._ended += trials
+        if self._first is None and trials:
+            self._first = self._ended, now
+
+    def measured(self, now: float) -> tuple[int, float] | None:
+        """So many trials in so many seconds; None before some more ended, at a later time."""
+        if self._first is None or self._ended == self._first[0] or now <= self._first[1]:
+            return None
+        return self._ended - self._first[0], now - self._first[1]
+
+
 class _Notices:
     """What a run says beside its progress: that it takes long, and that nothing has ended for a while.
 
@@ -65,6 +84,7 @@ class _Notices:
 
     def __init__(self, estimates: int, say: Callable[[str], None], clock: Callable[[], float]) -> None:
         self._estimates, self._say, self._clock = estimates, say, clock
+        self._pace = _Pace()
         self._works: dict[str, None] = {}
         self._patience = _EVERY_SECONDS
         self._cost_said = False
@@ -72,7 +92,7 @@ class _Notices:
         self._lock = threading.Lock()
 
     def start(self, total: int, stored: int) -> None:
-        self._total, self._done, self._stored = total, stored, stored
+        self._left = total - stored
         self._start = self._last = self._clock()
         if stored < total:
             threading.Thread(target=self._watch, name="progress", daemon=True).start()
@@ -86,22 +106,23 @@ class _Notices:
             self._works.pop(work, None)
 
     def advance(self, trials: int) -> None:
-        self._done += trials
+        self._left -= trials
         self._last = self._clock()
+        self._pace.advance(trials, self._last)
 
     def finish(self) -> None:
         self._stopped.set()
 
     def look(self) -> None:
         """Say what is to be said now."""
-        now, done = self._clock(), self._done - self._stored
-        spent = now - self._start
-        if done and spent >= _EVERY_SECONDS and not self._cost_said:
-            left = (self._total - self._done) * spent / done
+        now = self._clock()
+        pace = self._pace.measured(now)
+        if pace and now - self._start >= _EVERY_SECONDS and not self._cost_said:
+            left = self._left * pace[1] / pace[0]
             if left > _LONG_SECONDS:
                 self._cost_said = True
                 self._say(
-                    f"about {duration(left)} to go for {self._total - self._done} trials of "
+                    f"about {duration(left)} to go for {self._left} trials of "
                     f"{self._estimates} estimates; fewer --trials, more --jobs or a --trial-timeout shorten "
                     "it, and Ctrl-C keeps what is stored"
                 )
@@ -128,6 +149,7 @@ class _Shown:
     def __init__(self, name: str, clock: Callable[[], float] = time.monotonic, estimates: int = 1) -> None:
         self._name, self._clock = name, clock
         self._notices = _Notices(estimates, self._say, clock)
+        self._pace = _Pace()
 
     def _say(self, text: str) -> None:
         raise NotImplementedError
@@ -162,11 +184,14 @@ class Lines(_Shown):
         self._done += trials
         self._notices.advance(trials)
         now = self._clock()
+        self._pace.advance(trials, now)
         if self._stored < self._done < self._total and now - self._last >= _EVERY_SECONDS:
             self._last = now
-            done, seconds = self._done - self._stored, now - self._start
-            left = duration((self._total - self._done) * seconds / done)
-            self._say(f"{self._done}/{self._total} trials, {rate_of(done, seconds)}, {left} left")
+            said = f"{self._done}/{self._total} trials"
+            if pace := self._pace.measured(now):
+                left = duration((self._total - self._done) * pace[1] / pace[0])
+                said += f", {rate_of(*pace)}, {left} left"
+            self._say(said)
 
     def finish(self) -> None:
         self._notices.finish()
@@ -199,9 +224,7 @@ class Bar(_Shown):
 
     def start(self, total: int, stored: int) -> None:
         self._say(_stored(stored, total))
-        self._stored = stored
         self._task = self._bar.add_task(self._name, total=total, completed=stored, rate="")
-        self._began = self._clock()
         if stored < total:
             self._bar.start()
         self._notices.start(total, stored)
@@ -209,8 +232,10 @@ class Bar(_Shown):
     def advance(self, trials: int) -> None:
         self._notices.advance(trials)
         self._bar.advance(self._task, trials)
-        done = self._bar.tasks[0].completed - self._stored
-        self._bar.update(self._task, rate=rate_of(done, self._clock() - self._began))
+        now = self._clock()
+        self._pace.advance(trials, now)
+        if pace := self._pace.measured(now):
+            self._bar.update(self._task, rate=rate_of(*pace))
 
     def finish(self) -> None:
         self._notices.finish()

@@ -37,13 +37,34 @@ def test_a_line_comes_every_ten_seconds_of_the_clock_however_many_trials_end(clo
 def test_the_bar_has_the_rate_of_the_trials_that_were_computed(clock, capsys):
     bar = Bar("tiny", clock)
     bar.start(100, 20)
-    clock.now = 8.0
+    # Until the first one ends, workers start.
+    clock.now = 50.0
+    bar.advance(1)
+    clock.now = 58.0
     bar.advance(40)
     bar.finish()
     said = capsys.readouterr().err
     assert said.startswith("tiny: 100 trials, 20 of them stored\n")
-    assert "60/100" in said
+    assert "61/100" in said
     assert "5 trials/s" in said
+
+
+def test_a_slow_start_is_not_taken_for_the_rate(clock, capsys):
+    lines = Lines("tiny", clock)
+    lines.start(7200, 0)
+    clock.now = 14.0
+    lines.advance(4)
+    lines.look()
+    clock.now = 24.0
+    lines.advance(2000)
+    lines.look()
+    lines.finish()
+    assert capsys.readouterr().err.splitlines() == [
+        "tiny: 7200 trials",
+        "tiny: 4/7200 trials",
+        "tiny: 2004/7200 trials, 200 trials/s, 26 s left",
+        "tiny: 2004/7200 trials done, 24.0 s",
+    ]
 
 
 @pytest.fixture(params=[Lines, Bar])
@@ -66,7 +87,7 @@ def test_a_run_that_takes_long_says_once_what_it_costs_and_what_changes_that(sho
         shown.look()
     shown.finish()
     notice = (
-        "tiny: about 3.7 h to go for 3997 trials of 4 estimates; fewer --trials, more --jobs or a "
+        "tiny: about 5.0 h to go for 3997 trials of 4 estimates; fewer --trials, more --jobs or a "
         "--trial-timeout shorten it, and Ctrl-C keeps what is stored"
     )
     assert _said(capsys).count(notice) == 1
