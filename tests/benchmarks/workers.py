@@ -9,11 +9,14 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from hident import plugins
 from hident.engine import chunks
 from hident.engine.executors import Workers, named_executor
 from hident.engine.experiment import Plan, load
 from hident.engine.runner import Silent, run
+from hident.engine.scores import Scores
 from hident.engine.store import Store
 from tests.benchmarks.startup import hident
 from tests.benchmarks.timing import figure, interleaved, show
@@ -35,6 +38,7 @@ def main() -> None:
     plugins.load()
     throughput(with_dask="dask" in by)
     handling(by)
+    figure("millions of numbers stored per second of the main process", [stored() for _ in range(_ROUNDS)])
 
 
 def throughput(*, with_dask: bool) -> None:
@@ -110,6 +114,18 @@ def of_chunk(config: str, settings: list[str], trials: int, name: str) -> tuple[
         run(plan, store=store, executor=executor)
         taken = 2 * computed - start - time.process_time()
     return taken / counted.chunks, trials * len(plan.units) / counted.chunks
+
+
+def stored() -> float:
+    """Millions of numbers that a second of this process stores, in chunks as a thousand workers give them."""
+    chunks_, trials, keys = 40, 5000, 6
+    values = np.random.default_rng(1).random((trials, 1))
+    with tempfile.TemporaryDirectory() as folder, Store(Path(folder)).writing() as store:
+        start = time.process_time()
+        for i in range(chunks_):
+            scores = Scores(np.arange(i * trials, (i + 1) * trials), values)
+            store.add({}, [(f"{key:064d}", scores) for key in range(keys)])
+        return 1e-6 * chunks_ * trials * keys / (time.process_time() - start)
 
 
 def warm(executor: Workers, plan: Plan) -> None:
