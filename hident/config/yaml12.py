@@ -32,6 +32,7 @@ _MOST_VALUES = 200_000
 _MOST_DIGITS = 250
 LARGEST = 2**18
 """The most bytes of a file: PyYAML takes up to 35 microseconds for each, as in a list of single digits."""
+_LONGEST = 2000
 
 
 class Place(NamedTuple):
@@ -51,7 +52,12 @@ class Complaint(NamedTuple):
 def error_of(complaints: Iterable[Complaint]) -> ConfigError:
     """One error that lists all complaints, each once, in the order of their lines."""
     ordered = sorted(complaints, key=lambda complaint: complaint.line)
-    return ConfigError("\n".join(dict.fromkeys(complaint.text for complaint in ordered)))
+    return ConfigError("\n".join(dict.fromkeys(_readable(complaint.text) for complaint in ordered)))
+
+
+def _readable(text: str) -> str:
+    """The text without its middle, where it quotes something very long."""
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
 
 
 def spelled(location: Location) -> str:

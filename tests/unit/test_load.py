@@ -222,6 +222,20 @@ def test_anchors_cannot_grow_without_bound(tmp_path):
     assert "the file holds more than 200000 values" in said[0]
 
 
+def test_what_is_quoted_at_length_is_shortened(lab):
+    table = {
+        "kind": "grid",
+        "title": "t",
+        "rows": "samples",
+        "columns": [{"estimator": "x" * 20_000, "metric": "a"}],
+    }
+    lab.configure(tables={"t": table})
+    said = lab.hident("validate", "tiny.yaml", code=2).stderr
+    assert "there is no estimator 'xxx" in said
+    assert "x ... x" in said
+    assert all(len(line) < 2200 for line in said.splitlines())
+
+
 def test_a_file_that_is_none(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "configs").mkdir()
