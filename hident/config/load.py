@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from hident.config.suggest import did_you_mean, one_of
-from hident.config.yaml12 import LARGEST, MERGE, Complaint, Location, Place, Reader, error_of, shown, spelled
+from hident.config.yaml12 import LARGEST, UNREAD, Complaint, Location, Place, Reader, error_of, shown, spelled
 from hident.errors import ConfigError
 
 _ABSENT = object()
@@ -64,7 +64,7 @@ class Document:
         """
         found = []
         for problem in problems:
-            if problem.message.startswith("is required") and (*problem.location[:-1], MERGE) in self.places:
+            if problem.message.startswith("is required") and (*problem.location[:-1], UNREAD) in self.places:
                 continue
             place = self.place(problem.location)
             # What was written in Python is no file.

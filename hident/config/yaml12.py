@@ -26,7 +26,9 @@ _HEX = re.compile(r"0x[0-9a-fA-F]+\Z")
 _FLOAT = re.compile(r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?\Z")
 _INFINITE = re.compile(r"([-+]?)\.(?:inf|Inf|INF)\Z")
 _NAN = re.compile(r"\.(?:nan|NaN|NAN)\Z")
-MERGE = "<<"
+_MERGE = "<<"
+UNREAD = -1
+"""In the place of a key: a merge that cannot be read. No list has such an item, and no mapping such a key."""
 _DEEPEST = 50
 _MOST_VALUES = 200_000
 _MOST_DIGITS = 250
@@ -194,7 +196,7 @@ class Reader:
                 continue
             lines[key] = key_node.start_mark.line + 1
             # In quotation marks it is a key like any other.
-            if key == MERGE and key_node.style is None:
+            if key == _MERGE and key_node.style is None:
                 sound = len(self.complaints)
                 for merged in self._merged(value_node, (*location, key), inside):
                     for name, pair in merged.items():
@@ -202,7 +204,7 @@ class Reader:
                         pairs.setdefault(name, pair)
                 if len(self.complaints) > sound:
                     # It has a place where it cannot be read: what is missing beside it may be in it.
-                    self.places[(*location, key)] = self._place(key_node.start_mark.line)
+                    self.places[(*location, UNREAD)] = self._place(key_node.start_mark.line)
             else:
                 pairs[key] = (key_node, value_node)
         return pairs

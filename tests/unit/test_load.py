@@ -222,6 +222,13 @@ def test_anchors_cannot_grow_without_bound(tmp_path):
     assert "the file holds more than 200000 values" in said[0]
 
 
+def test_a_key_in_quotation_marks_is_no_merge(lab):
+    lab.configure(tables={"t": {"title": "t", "<<": 1}})
+    assert "'<<': 1" in (lab.folder / "tiny.yaml").read_text()
+    said = lab.hident("validate", "tiny.yaml", code=2).stderr
+    assert "tables.t.kind: is required" in said
+
+
 def test_what_is_quoted_at_length_is_shortened(lab):
     table = {
         "kind": "grid",
