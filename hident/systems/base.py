@@ -25,7 +25,7 @@ def _not_all_zero(b: tuple[float, ...]) -> tuple[float, ...]:
 
 Coefficients = Annotated[tuple[Real, ...], BeforeValidator(_as_list)]
 Numerator = Annotated[Coefficients, AfterValidator(_not_all_zero)]
-Feedback = Annotated[Coefficients, Field(max_length=200)]
+Feedback = Annotated[tuple[Real, ...], Field(max_length=200), BeforeValidator(_as_list)]
 """Coefficients of a denominator: to find its poles takes the third power of their number."""
 
 

@@ -23,10 +23,10 @@ from tests.benchmarks.timing import figure, interleaved, show
 
 # A configuration of each paper, with the trials of a run of some seconds.
 _RUNS = {
-    "mzyk_table1": (["cases.samples=[3000]"], 2000),
-    "wang_table1": ([], 2000),
-    "chen_table2": ([], 10),
-    "brouri_gains": ([], 60),
+    "mzyk_table1": (["cases.samples=[3000]"], 600),
+    "wang_table1": ([], 1000),
+    "chen_table2": ([], 4),
+    "brouri_gains": ([], 20),
 }
 _ROUNDS = 3
 

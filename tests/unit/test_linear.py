@@ -252,6 +252,11 @@ def test_blocks_survive_pickling(block):
         ({"kind": "ar", "a": [0.5], "b0": 0}, ("b0",), "must not be zero"),
         ({"kind": "ar", "a": 0.5}, ("a",), "must be a list of at least one number"),
         ({"kind": "ar", "a": []}, ("a",), "must be a list of at least one number"),
+        (
+            {"kind": "arma", "a": [0.0] * 201, "b": [1]},
+            ("a",),
+            "must be a list of at most 200",
+        ),
     ],
 )
 def test_what_is_refused(keys, place, message):
