@@ -32,6 +32,8 @@ from hident.numerics.whole import split
 _NEGLIGIBLE = 1e-16
 # A simple pole of this modulus is forgotten to 1e-16 after 3.7 million samples.
 SLOWEST = 0.99999
+MOST_POLES = 200
+"""As many as a configuration may give: to find them takes the third power of their number."""
 
 
 def _roots(polynomial: Array) -> Complex:

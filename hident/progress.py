@@ -84,7 +84,7 @@ class _Notices:
 
     def __init__(self, estimates: int, say: Callable[[str], None], clock: Callable[[], float]) -> None:
         self._estimates, self._say, self._clock = estimates, say, clock
-        self._pace = _Pace()
+        self.pace = _Pace()
         self._works: dict[str, None] = {}
         self._patience = _EVERY_SECONDS
         self._cost_said = False
@@ -108,7 +108,7 @@ class _Notices:
     def advance(self, trials: int) -> None:
         self._left -= trials
         self._last = self._clock()
-        self._pace.advance(trials, self._last)
+        self.pace.advance(trials, self._last)
 
     def finish(self) -> None:
         self._stopped.set()
@@ -116,7 +116,7 @@ class _Notices:
     def look(self) -> None:
         """Say what is to be said now."""
         now = self._clock()
-        pace = self._pace.measured(now)
+        pace = self.pace.measured(now)
         if pace and now - self._start >= _EVERY_SECONDS and not self._cost_said:
             left = self._left * pace[1] / pace[0]
             if left > _LONG_SECONDS:
@@ -149,7 +149,6 @@ class _Shown:
     def __init__(self, name: str, clock: Callable[[], float] = time.monotonic, estimates: int = 1) -> None:
         self._name, self._clock = name, clock
         self._notices = _Notices(estimates, self._say, clock)
-        self._pace = _Pace()
 
     def _say(self, text: str) -> None:
         raise NotImplementedError
@@ -184,11 +183,10 @@ class Lines(_Shown):
         self._done += trials
         self._notices.advance(trials)
         now = self._clock()
-        self._pace.advance(trials, now)
         if self._stored < self._done < self._total and now - self._last >= _EVERY_SECONDS:
             self._last = now
             said = f"{self._done}/{self._total} trials"
-            if pace := self._pace.measured(now):
+            if pace := self._notices.pace.measured(now):
                 left = duration((self._total - self._done) * pace[1] / pace[0])
                 said += f", {rate_of(*pace)}, {left} left"
             self._say(said)
@@ -232,9 +230,7 @@ class Bar(_Shown):
     def advance(self, trials: int) -> None:
         self._notices.advance(trials)
         self._bar.advance(self._task, trials)
-        now = self._clock()
-        self._pace.advance(trials, now)
-        if pace := self._pace.measured(now):
+        if pace := self._notices.pace.measured(self._clock()):
             self._bar.update(self._task, rate=rate_of(*pace))
 
     def finish(self) -> None:

@@ -21,7 +21,7 @@ _waiting: list[threading.Event] = []
 
 def listen() -> None:
     """Treat SIGTERM and SIGHUP as Ctrl-C from now on; one that is ignored, as by nohup, stays so."""
-    if threading.current_thread() is not threading.main_thread():
+    if not _in_main_thread():
         return
     for number in _OTHERS:
         if signal.getsignal(number) is signal.SIG_DFL:
@@ -30,8 +30,7 @@ def listen() -> None:
 
 def may_interrupt() -> bool:
     """Whether Ctrl-C and its like can raise KeyboardInterrupt here: in no worker, and in no other thread."""
-    in_main = threading.current_thread() is threading.main_thread()
-    return in_main and any(callable(signal.getsignal(number)) for number in SIGNALS)
+    return _in_main_thread() and any(callable(signal.getsignal(number)) for number in SIGNALS)
 
 
 def ignore() -> None:
@@ -46,7 +45,7 @@ def postponed() -> Iterator[None]:
 
     Blocking it in this thread is not enough: another one may take it, and Python deals with it in this one.
     """
-    if threading.current_thread() is not threading.main_thread():
+    if not _in_main_thread():
         yield
         return
     came: list[int] = []
@@ -68,8 +67,7 @@ def deferred() -> Iterator[threading.Event]:
     """The first signal sets the event instead of raising KeyboardInterrupt; the next one raises it."""
     event = threading.Event()
     before = signal.getsignal(signal.SIGINT)
-    in_main = threading.current_thread() is threading.main_thread()
-    if not in_main or before not in (signal.default_int_handler, signal.SIG_IGN):
+    if not _in_main_thread() or before not in (signal.default_int_handler, signal.SIG_IGN):
         yield event
         return
     if before is not signal.SIG_IGN:
@@ -85,6 +83,10 @@ def deferred() -> Iterator[threading.Event]:
 def exit_code() -> int:
     """128 and the number of the signal that came first, as shells have it; that of Ctrl-C if none did."""
     return 128 + (_received[0] if _received else signal.SIGINT)
+
+
+def _in_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

@@ -1,4 +1,4 @@
-"""What a worker is given at once: some trials of one case, as many as take :func:`lasting`."""
+"""What a worker is given at once: some trials of one case, as many as take a quarter of a second or more."""
 
 from __future__ import annotations
 
@@ -17,17 +17,11 @@ from hident.engine.unit_trials import UnitTrials
 
 SECONDS = 0.25
 """What a chunk is meant to take, at least."""
+# More for each of many workers, so that one process can serve them: to give out a chunk and to store it takes
+# that process some milliseconds, with Dask some twenty.
 _SECONDS_OF_EACH = 0.04
 # Each of its trials and estimators stands alone where its workers die.
 _LARGEST = 10_000
-
-
-def lasting(workers: int) -> float:
-    """The seconds that a chunk is meant to take: so many that one process can serve the workers.
-
-    To give out a chunk and to store it takes that process some milliseconds, with Dask some twenty.
-    """
-    return max(SECONDS, _SECONDS_OF_EACH * workers)
 
 
 def in_common(labels: Iterable[Mapping[str, Label]]) -> dict[str, Label]:
@@ -56,8 +50,8 @@ class Case:
         """The trials of the next chunk, which become fewer to the end, so that no worker waits long there."""
         if not self.seconds:
             return 1
-        fair = max(SECONDS / self.seconds, waiting / (2 * workers))
-        return max(1, min(int(min(lasting(workers) / self.seconds, fair)), _LARGEST))
+        of_many = min(_SECONDS_OF_EACH * workers / self.seconds, waiting / (2 * workers))
+        return max(1, min(int(max(SECONDS / self.seconds, of_many)), _LARGEST))
 
 
 @dataclass

@@ -107,7 +107,6 @@ class Store:
         StoreBusy
             If another run still holds it.
         """
-        self._check_files()
         with self._locked(wait):
             with self.guarding():
                 mended = self._mended()
@@ -161,6 +160,7 @@ class Store:
 
     @contextmanager
     def _locked(self, wait: float) -> Iterator[None]:
+        self._check_files()
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             lock = FileLock(self._lock, timeout=wait)
@@ -212,10 +212,9 @@ class Store:
         try:
             # Who only reads leaves a log as it is, which may be another file's; who writes leaves none.
             with self._connected(self.path, "ro" if _has_content(log) else "rw") as connection:
-                if not _is_made(connection):
-                    bare = connection.execute("SELECT COUNT(*) FROM sqlite_master").fetchone()[0] == 0
-                    return "" if bare else "its header is damaged"
                 names = {name.decode() for (name,) in connection.execute("SELECT name FROM sqlite_master")}
+                if not _is_made(connection):
+                    return "its header is damaged" if names else ""
                 if not {"units", "blocks", "places"} <= names:
                     return "its tables are those of something else"
                 found = connection.execute("PRAGMA integrity_check(1)").fetchone()[0].decode()

@@ -11,7 +11,7 @@ from pydantic import Field, field_validator, model_validator
 from hident.arrays import Array
 from hident.config.spec import Real, component
 from hident.config.suggest import one_of
-from hident.linear_blocks import TransferFunction
+from hident.linear_blocks import MOST_POLES, TransferFunction
 from hident.signals.base import NoiseSpec
 
 Level = Annotated[Real, Field(ge=0)]
@@ -99,7 +99,7 @@ class Autoregressive(_Additive):
     0.9
     """
 
-    a: Annotated[tuple[Real, ...], Field(min_length=1, max_length=200)]
+    a: Annotated[tuple[Real, ...], Field(min_length=1, max_length=MOST_POLES)]
     """Feedback coefficients a_1, ..., a_p."""
     of: Literal["noise", "innovation"] = "noise"
     """What the level is of: the noise itself (once stationary), or the white noise that drives it."""

@@ -8,6 +8,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from hident.arrays import Array
 from hident.config.spec import Component, Real
+from hident.linear_blocks import MOST_POLES
 from hident.records import Truth, Waveform
 
 
@@ -25,8 +26,7 @@ def _not_all_zero(b: tuple[float, ...]) -> tuple[float, ...]:
 
 Coefficients = Annotated[tuple[Real, ...], BeforeValidator(_as_list)]
 Numerator = Annotated[Coefficients, AfterValidator(_not_all_zero)]
-Feedback = Annotated[tuple[Real, ...], Field(max_length=200), BeforeValidator(_as_list)]
-"""Coefficients of a denominator: to find its poles takes the third power of their number."""
+Feedback = Annotated[tuple[Real, ...], Field(max_length=MOST_POLES), BeforeValidator(_as_list)]
 
 
 class NonlinearitySpec(Component):

@@ -58,19 +58,20 @@ def seconds(action: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
+def processor_seconds(action: Callable[[], object]) -> float:
+    """How much of this process's time one call takes: a busy machine hides it least."""
+    start = time.process_time()
+    action()
+    return time.process_time() - start
+
+
 def interleaved(actions: Mapping[str, Callable[[], object]], rounds: int) -> Turns:
     """The median seconds of each action, called in turns: A B C, A B C, ..."""
     return _in_turns(actions, max(rounds, _GROUPS), seconds, statistics.median)
 
 
 def least(actions: Mapping[str, Callable[[], object]], rounds: int) -> Turns:
-    """The least processor seconds of each action, called in turns: what a busy machine hides least."""
-
-    def processor_seconds(action: Callable[[], object]) -> float:
-        start = time.process_time()
-        action()
-        return time.process_time() - start
-
+    """The least processor seconds of each action, called in turns."""
     return _in_turns(actions, max(rounds, _GROUPS), processor_seconds, min)
 
 

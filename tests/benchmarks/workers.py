@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import statistics
 import tempfile
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -13,13 +13,13 @@ import numpy as np
 
 from hident import plugins
 from hident.engine import chunks
-from hident.engine.executors import Workers, named_executor
-from hident.engine.experiment import Plan, load
+from hident.engine.executors import named_executor
+from hident.engine.experiment import load
 from hident.engine.runner import Silent, run
 from hident.engine.scores import Scores
 from hident.engine.store import Store
 from tests.benchmarks.startup import hident
-from tests.benchmarks.timing import figure, interleaved, show
+from tests.benchmarks.timing import figure, interleaved, processor_seconds, show
 
 # A configuration of each paper, with the trials of a run of some seconds.
 _RUNS = {
@@ -32,16 +32,16 @@ _ROUNDS = 3
 
 
 def main() -> None:
-    by = ["processes"]
+    executors = ["processes"]
     if importlib.util.find_spec("distributed"):
-        by.append("dask")
+        executors.append("dask")
     plugins.load()
-    throughput(with_dask="dask" in by)
-    handling(by)
+    throughput(executors)
+    handling(executors)
     figure("millions of numbers stored per second of the main process", [stored() for _ in range(_ROUNDS)])
 
 
-def throughput(*, with_dask: bool) -> None:
+def throughput(executors: list[str]) -> None:
     """Trials per second of whole commands."""
     rows = []
     for config, (settings, trials) in _RUNS.items():
@@ -49,7 +49,7 @@ def throughput(*, with_dask: bool) -> None:
             "1 process": partial(run_command, config, settings, trials, 1),
             "2 processes": partial(run_command, config, settings, trials, 2),
         }
-        if with_dask:
+        if "dask" in executors:
             ways["2 Dask workers"] = partial(run_command, config, settings, trials, 2, "--executor", "dask")
         taken = interleaved(ways, _ROUNDS)
         for way, seconds in taken.items():
@@ -86,7 +86,7 @@ def handling(executors: list[str]) -> None:
             taken = [of_chunk(config, settings, trials, name) for _ in range(_ROUNDS)]
             milliseconds = [1e3 * one for one, _ in taken]
             figure(f"{config}: milliseconds of the main process for a chunk, {name}", milliseconds)
-            middle = sorted(milliseconds)[_ROUNDS // 2]
+            middle = statistics.median(milliseconds)
             most = 1e3 * chunks.SECONDS / middle
             rows.append([config, name, f"{taken[0][1]:.0f}", f"{middle:.1f}", f"{most:.0f}"])
     show(
@@ -105,32 +105,27 @@ def of_chunk(config: str, settings: list[str], trials: int, name: str) -> tuple[
         named_executor(name, None, 2, (), [plan]) as executor,
         Store(Path(folder)).writing() as store,
     ):
-        warm(executor, plan)
+        # Let the workers have loaded everything.
+        run(plan.changed(trials=4), executor=executor)
         counted = _Counted()
-        start = time.process_time()
-        run(plan, store=store, executor=executor, progress=counted)
-        computed = time.process_time()
-        # What is not of the chunks: to read what is stored, and to make the results of it.
-        run(plan, store=store, executor=executor)
-        taken = 2 * computed - start - time.process_time()
+        taken = processor_seconds(lambda: run(plan, store=store, executor=executor, progress=counted))
+        # To read what is stored, and to make the results of it, is not of the chunks.
+        taken -= processor_seconds(lambda: run(plan, store=store, executor=executor))
     return taken / counted.chunks, trials * len(plan.units) / counted.chunks
 
 
 def stored() -> float:
     """Millions of numbers that a second of this process stores, in chunks as a thousand workers give them."""
-    chunks_, trials, keys = 40, 5000, 6
+    count, trials, keys = 40, 5000, 6
     values = np.random.default_rng(1).random((trials, 1))
-    with tempfile.TemporaryDirectory() as folder, Store(Path(folder)).writing() as store:
-        start = time.process_time()
-        for i in range(chunks_):
+
+    def store_all() -> None:
+        for i in range(count):
             scores = Scores(np.arange(i * trials, (i + 1) * trials), values)
             store.add({}, [(f"{key:064d}", scores) for key in range(keys)])
-        return 1e-6 * chunks_ * trials * keys / (time.process_time() - start)
 
-
-def warm(executor: Workers, plan: Plan) -> None:
-    """Let the workers have loaded everything."""
-    run(plan.changed(trials=4), executor=executor)
+    with tempfile.TemporaryDirectory() as folder, Store(Path(folder)).writing() as store:
+        return 1e-6 * count * trials * keys / processor_seconds(store_all)
 
 
 class _Counted(Silent):

@@ -101,7 +101,6 @@ def test_work_that_a_module_does_while_it_is_imported_is_ended(tmp_path, monkeyp
     (tmp_path / "works_at_once.py").write_text(
         """
 from hident.engine.clock import Clock, Limit, TookTooLong
-from tests.forked import GUARD_SECONDS
 
 def work():
     while True:

@@ -26,7 +26,7 @@ from hident.estimators.bilinear_models.bilinear import (
     normalised,
 )
 from hident.estimators.bilinear_models.known_basis import BilinearSpec, LaggedSpec
-from hident.linear_blocks import TransferFunction
+from hident.linear_blocks import MOST_POLES, TransferFunction
 from hident.numerics.choices import ROUNDING
 from hident.numerics.parts import Parts
 from hident.records import Estimate, Record
@@ -118,7 +118,7 @@ class KnownAr(Spec):
 
     kind: Literal["ar"]
     """The kind."""
-    a: Annotated[tuple[Real, ...], Field(min_length=1, max_length=200)]
+    a: Annotated[tuple[Real, ...], Field(min_length=1, max_length=MOST_POLES)]
     """Feedback coefficients a_1, ..., a_p of the noise."""
 
     @field_validator("a")
