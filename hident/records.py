@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal, TypeVar, cast, get_args
+from typing import Any, Literal, Protocol, TypeVar, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,20 @@ from hident.numerics.parts import Parts, whole
 _UNEVEN = 1e-3
 
 T = TypeVar("T")
-ModelPart = Literal["nonlinearity", "linear", "continuous", "response", "frequencies"]
+ModelPart = Literal["nonlinearity", "linear", "continuous", "response", "frequencies", "model"]
 """A part of an estimate that is no value."""
 Response = Callable[[Array, float], Array]
 """The noise-free output (N,) to an input (N,), given the sampling interval."""
+
+
+class Model(Protocol):
+    """What tells the output of any record, each experiment by itself, begun as the method begins it."""
+
+    def simulate(self, record: Record) -> Array:
+        """The output (N,) from the record's input alone."""
+
+    def predict(self, record: Record, steps: int = 1) -> Array:
+        """The output (N,) from what was measured up to ``steps`` samples before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +147,7 @@ class Record:
     dt: float | None = None
     truth: Truth | None = None
     parts: Mapping[str, Part] = field(default_factory=dict)
+    validation: Record | None = None
 
     def __post_init__(self) -> None:
         for name in ("u", "y"):
@@ -210,7 +221,8 @@ class Estimate:
     """What an estimator returns; a part that it does not estimate is None or empty.
 
     ``nonlinearity`` takes and gives arrays of one shape; ``linear`` and ``continuous`` are the linear block
-    in discrete and in continuous time, ``response`` the whole model; ``values`` are parameters by name, and
+    in discrete and in continuous time, ``response`` the whole model from rest, ``model`` what it gives for a
+    record; ``values`` are parameters by name, and
     ``frequencies`` (n,) the angular ones that values such as ``gain_i_1`` number. ``details`` holds what only
     a figure of one trial shows, such as a search or the history of an iteration.
 
@@ -226,6 +238,7 @@ class Estimate:
     continuous: ContinuousTransferFunction | None = None
     response: Response | None = None
     frequencies: Array | None = None
+    model: Model | None = None
     values: Mapping[str, float] = field(default_factory=dict)
     details: Mapping[str, Any] = field(default_factory=dict)
 

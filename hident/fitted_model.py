@@ -1,0 +1,75 @@
+"""A chain of blocks that was fitted to a record: what it gives for another one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hident.arrays import Array
+from hident.block_chain import BlockChain, Start
+from hident.numerics.parts import in_each
+from hident.records import Record
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Noise v with D(q) v = C(q) e, e white: v_k = d_1 v_{k-1} + ... + e_k + c_1 e_{k-1} + ...
+
+    ``ar`` are d_1, ..., d_p with the signs of :class:`hident.linear_blocks.TransferFunction`, ``ma`` are
+    c_1, ..., c_m, and ``variance`` is that of e.
+    """
+
+    ar: tuple[float, ...] = ()
+    ma: tuple[float, ...] = ()
+    variance: float = 0.0
+
+    def innovations(self, v: Array) -> Array:
+        """e (N,) of the noise v (N,) of one experiment, whose past counts as zero."""
+        from scipy.signal import lfilter
+
+        return np.asarray(lfilter(np.r_[1.0, -np.asarray(self.ar)], np.r_[1.0, self.ma], v))
+
+
+@dataclass(frozen=True, eq=False)
+class FittedModel:
+    """A chain, how it starts, its noise, and what is known of how it was made.
+
+    ``errors`` holds the standard errors of each block's numbers by their names (``b_0``, ``a_1``, ``c_1``,
+    ...), ``about`` what a reader of the model should know: the record, its hash, units, the method.
+    """
+
+    chain: BlockChain
+    start: Start = "settled"
+    noise: NoiseModel = NoiseModel()
+    errors: tuple[Mapping[str, float], ...] = ()
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+    def simulate(self, record: Record) -> Array:
+        """The noise-free output (N,) to the record's input; each of its experiments begins anew."""
+        return in_each(record.experiments, lambda u: self.chain.response(u, self.start), record.u)
+
+    def predict(self, record: Record, steps: int = 1) -> Array:
+        """The output (N,) as predicted from all that was measured up to ``steps`` samples before.
+
+        What the noise model makes of the past differences between output and simulation is added to the
+        simulation; without a noise model the two are one.
+        """
+        simulated = self.simulate(record)
+        if not (self.noise.ar or self.noise.ma):
+            return simulated
+        return simulated + in_each(
+            record.experiments, lambda v: self._foreseen(v, steps), record.y - simulated
+        )
+
+    def _foreseen(self, v: Array, steps: int) -> Array:
+        from scipy.signal import lfilter
+
+        # C/D = F_k + q^-k G_k/D: what the last k innovations add is not known yet.
+        impulse = np.zeros(max(steps, 1))
+        impulse[0] = 1.0
+        known = np.r_[1.0, -np.asarray(self.noise.ar)]
+        recent = lfilter(np.r_[1.0, self.noise.ma], known, impulse)[:steps]
+        return np.asarray(v - lfilter(recent, [1.0], self.noise.innovations(v)))
