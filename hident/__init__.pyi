@@ -36,6 +36,13 @@ from hident.estimators.nonparametric.kernel import Kernel as Kernel
 from hident.estimators.nonparametric.known_dynamics import KnownDynamics as KnownDynamics
 from hident.estimators.nonparametric.least_squares import LeastSquares as LeastSquares
 from hident.estimators.nonparametric.orthogonal import Orthogonal as Orthogonal
+from hident.estimators.prediction_error.block_specs import CubicSplineBlock as CubicSplineBlock
+from hident.estimators.prediction_error.block_specs import DeadZoneBlock as DeadZoneBlock
+from hident.estimators.prediction_error.block_specs import LinearBlock as LinearBlock
+from hident.estimators.prediction_error.block_specs import PiecewiseLinearBlock as PiecewiseLinearBlock
+from hident.estimators.prediction_error.block_specs import PolynomialBlock as PolynomialBlock
+from hident.estimators.prediction_error.block_specs import SaturationBlock as SaturationBlock
+from hident.estimators.prediction_error.prediction_error import PredictionError as PredictionError
 from hident.estimators.voros.voros_hammerstein import VorosHammerstein as VorosHammerstein
 from hident.estimators.voros.voros_wiener import VorosWiener as VorosWiener
 from hident.linear_blocks import ContinuousTransferFunction as ContinuousTransferFunction

@@ -42,6 +42,7 @@ Family = Literal[
     "streams",
     "metric",
     "basis",
+    "block",
     "table",
     "figure",
 ]
@@ -55,6 +56,7 @@ PLURALS: dict[str, Family] = {
     "streams": "streams",
     "metrics": "metric",
     "bases": "basis",
+    "blocks": "block",
     "tables": "table",
     "figures": "figure",
 }

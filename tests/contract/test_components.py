@@ -19,6 +19,7 @@ from hident.engine.trial import Data, Job, estimate, generate
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec
 from hident.estimators.nonparametric.bases import BasisSpec
+from hident.estimators.prediction_error.block_specs import BlockSpec
 from hident.metrics.base import MetricSpec
 from hident.metrics.nonlinearity import IntegratedSquaredError
 from hident.metrics.values import Value
@@ -42,6 +43,7 @@ BASES: dict[str, type[Component]] = {
     "streams": StreamsSpec,
     "metric": MetricSpec,
     "basis": BasisSpec,
+    "block": BlockSpec,
     "table": TableSpec,
     "figure": FigureSpec,
 }
@@ -254,6 +256,26 @@ EXAMPLES = [
         samples=192,
         several=MULTISINES,
     ),
+    Example(
+        {
+            "kind": "prediction_error",
+            "blocks": [{"kind": "polynomial", "degree": 3}, {"kind": "linear", "nb": 1, "nf": 1}],
+            "n_init": 20,
+        },
+    ),
+    Example(
+        {
+            "kind": "prediction_error",
+            "blocks": [
+                {"kind": "linear", "nb": 1, "nf": 1},
+                {"kind": "piecewise_linear", "knots": 4, "range": [-3, 3]},
+            ],
+            "noise": {"ar": 1, "ma": 1},
+            "start": "rest",
+            "n_init": 20,
+        },
+        system="wiener",
+    ),
 ]
 
 
@@ -277,6 +299,14 @@ SETTINGS: list[tuple[Family, dict[str, Any]]] = [
     ("metric", {"kind": "error", "of": ["a_1"], "estimators": ["k"]}),
     ("metric", {"kind": "mise", "interval": [-1, 1]}),
     ("basis", TRIGONOMETRIC),
+    (
+        "block",
+        {"kind": "linear", "nb": 2, "nf": 1, "nk": 1, "start": {"kind": "fir", "b": [0, 1]}, "held": True},
+    ),
+    (
+        "block",
+        {"kind": "dead_zone", "range": [-1, 1], "start": {"kind": "dead_zone", "low": -0.5, "high": 0.5}},
+    ),
     ("table", {"kind": "grid", "title": "T", "rows": "n", "columns": [{"estimator": "k", "metric": "m"}]}),
     ("table", {"kind": "distance", "title": "T", "rows": "n", "cells": [CELL]}),
     ("figure", {"kind": "realisation", "estimators": ["k"], "interval": [-1, 1], "at": [{"n": 50}]}),

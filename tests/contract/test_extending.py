@@ -55,7 +55,7 @@ def test_there_is_an_example_of_each():
         line for text in FILES.values() for line in text.splitlines() if line.startswith("@component")
     }
     families = {line.split('"')[1] for line in registered}
-    assert families == set(PLURALS.values()) - {"linear", "streams", "basis"}
+    assert families == set(PLURALS.values()) - {"linear", "streams", "basis", "block"}
     assert {"json_lines.py", "timed.py"} <= set(FILES)
 
 

@@ -1,0 +1,1 @@
+"""Chains of linear and static blocks, fitted by prediction error."""

@@ -1,0 +1,54 @@
+"""Where the poles and zeros of the best linear approximation of a chain may stand.
+
+The best linear approximation of static and linear blocks one after the other, under a Gaussian input, is a
+constant times the product of the linear blocks (Bussgang; Schoukens et al. 2014 split it for
+Wiener-Hammerstein systems). Which block a pole or a zero belongs to it does not tell: all splits are tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import product
+
+import numpy as np
+
+from hident.arrays import Complex
+from hident.estimators.prediction_error.linear_start import from_roots
+from hident.linear_blocks import TransferFunction
+
+_REAL = 1e-9
+
+
+def groups(roots: Complex) -> list[Complex]:
+    """The roots that must stay together: conjugate pairs, and single real ones, the largest first."""
+    found = []
+    for root in sorted(roots, key=lambda z: (-abs(z), z.real)):
+        if abs(root.imag) <= _REAL * max(abs(root), 1.0):
+            found.append(np.array([complex(root.real)]))
+        elif root.imag > 0.0:
+            found.append(np.array([root, root.conjugate()]))
+    return found
+
+
+def splits(roots: Complex, places: int) -> Iterator[tuple[Complex, ...]]:
+    """All ways to give the roots to so many blocks."""
+    none = np.zeros(0, complex)
+    together = groups(roots)
+    for choice in product(range(places), repeat=len(together)):
+        yield tuple(
+            np.concatenate([none, *(g for g, c in zip(together, choice, strict=True) if c == i)])
+            for i in range(places)
+        )
+
+
+def block(zeros: Complex, poles: Complex, delay: int) -> TransferFunction:
+    """The block with these roots, b_nk = 1, and its impulse response of length one where that can be had."""
+    b, f = from_roots(zeros), from_roots(poles)
+    return TransferFunction((*(0.0,) * delay, *b.tolist()), tuple((-f[1:]).tolist()))
+
+
+def fits(zeros: Sequence[Complex], poles: Sequence[Complex], sizes: Sequence[tuple[int, int]]) -> bool:
+    """Whether each block (nb, nf) has room for its roots."""
+    return all(
+        len(z) < max(nb, 1) and len(p) <= nf for z, p, (nb, nf) in zip(zeros, poles, sizes, strict=True)
+    )

@@ -1,0 +1,236 @@
+"""The blocks of a chain as a configuration writes them: orders of linear ones, kinds of static ones."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from hident.arrays import Array
+from hident.block_chain import Block
+from hident.config.spec import Component, Count, Flag, Interval, Of, component
+from hident.estimators.prediction_error.parameters import LinearStructure
+from hident.estimators.prediction_error.structure import StaticKind
+from hident.linear_blocks import MOST_POLES, TransferFunction
+from hident.static_functions import (
+    Basis,
+    Chebyshev,
+    CubicSpline,
+    DeadZone,
+    PiecewiseLinear,
+    Saturation,
+    StaticFunction,
+)
+from hident.systems.base import NonlinearitySpec
+from hident.systems.linear import DiscreteSpec, LinearSpec
+
+_POINTS = 2001
+
+
+class BlockSpec(Component):
+    """Base of the blocks of a chain."""
+
+    held: Flag = False
+    """Whether the block stays as ``start`` says."""
+
+    def structure(self) -> LinearStructure | StaticKind:
+        """What is to be found of the block."""
+        raise NotImplementedError
+
+    def given(self) -> Block | None:
+        """The block that the search starts from, or that is held; None if it is for the method to find."""
+        raise NotImplementedError
+
+
+@component("block", "linear", source="Ljung, System Identification, 2nd ed., (4.41)")
+class LinearBlock(BlockSpec):
+    """Linear block (b_nk q^-nk + ... + b_(nk+nb-1) q^-(nk+nb-1))/(1 + f_1 q^-1 + ... + f_nf q^-nf).
+
+    Examples
+    --------
+    >>> LinearBlock(nb=2, nf=1, nk=1).structure()
+    LinearStructure(nb=2, nf=1, nk=1)
+    """
+
+    nb: Annotated[Count, Field(ge=1, le=1000)]
+    """Coefficients of the numerator."""
+    nf: Annotated[Count, Field(ge=0, le=MOST_POLES)] = 0
+    """Poles."""
+    nk: Annotated[Count, Field(ge=0, le=100_000)] = 0
+    """Delay in samples."""
+    start: Annotated[LinearSpec, Of("linear")] | None = None
+    """A discrete block to start from, in place of what the record suggests."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.start is None:
+            if self.held:
+                raise ValueError("'held' needs 'start', the block that stays")
+            return self
+        if not isinstance(self.start, DiscreteSpec):
+            raise ValueError(f"'start' must be a discrete block, not {self.start.kind}")
+        block = self.start.transfer_function()
+        assert isinstance(block, TransferFunction)
+        if any(block.b[: self.nk]) or len(block.b) > self.nk + self.nb or len(block.a) > self.nf:
+            raise ValueError(
+                f"'start' has coefficients beyond nb = {self.nb}, nf = {self.nf}, nk = {self.nk}"
+            )
+        return self
+
+    def structure(self) -> LinearStructure:
+        return LinearStructure(self.nb, self.nf, self.nk)
+
+    def given(self) -> TransferFunction | None:
+        if self.start is None:
+            return None
+        block = self.start.transfer_function()
+        assert isinstance(block, TransferFunction)
+        structure = self.structure()
+        return structure.made(structure.numbers(block))
+
+
+class StaticSpec(BlockSpec):
+    """Base of the static blocks."""
+
+    range: Interval | None = None
+    """Ends [low, high] of what the basis spans, beyond which it is a line; those of the signal by default."""
+    start: Annotated[NonlinearitySpec, Of("nonlinearity")] | None = None
+    """A nonlinearity to start from: the nearest function of this kind over ``range``."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.held and self.start is None:
+            raise ValueError("'held' needs 'start', the function that stays")
+        if self.start is not None and self.range is None:
+            raise ValueError("'start' needs 'range', over which the nearest function of this kind is taken")
+        return self
+
+    def structure(self) -> StaticKind:
+        return self
+
+    def is_fixed(self) -> bool:
+        """Whether its range does not follow the signal."""
+        return self.range is not None
+
+    def basis(self, x: Array, low: float, high: float) -> Basis:
+        """The basis for a signal x (N,), which spans [low, high]."""
+        return self._basis(x, *(self.range or (low, high)))
+
+    def _basis(self, x: Array, low: float, high: float) -> Basis:
+        raise NotImplementedError
+
+    def given(self) -> StaticFunction | None:
+        if self.start is None or self.range is None:
+            return None
+        x = np.linspace(*self.range, _POINTS)
+        basis = self.basis(x, *self.range)
+        if len(points := self.start.break_points()) == len(basis.shape) == 2:
+            basis = basis.reshaped(points)
+        coefficients = np.linalg.lstsq(basis.rows(x).T, self.start(x), rcond=None)[0]
+        return StaticFunction(basis, tuple(coefficients.tolist()))
+
+
+@component("block", "polynomial")
+class PolynomialBlock(StaticSpec):
+    """Polynomial, as a sum of Chebyshev polynomials over the range.
+
+    Examples
+    --------
+    >>> PolynomialBlock(degree=3).basis(np.zeros(1), -1.0, 1.0).size
+    4
+    """
+
+    degree: Annotated[Count, Field(ge=1, le=50)]
+    """Degree."""
+
+    def _basis(self, x: Array, low: float, high: float) -> Basis:
+        return Chebyshev(self.degree, low, high)
+
+
+def _knots(x: Array, low: float, high: float, count: int) -> tuple[float, ...]:
+    """Knots from low to high, evenly spaced; of a signal of fewer levels, its levels."""
+    levels = np.unique(x)
+    knots = levels if 2 <= len(levels) <= count else np.linspace(low, high, count)
+    return tuple(knots.tolist())
+
+
+@component("block", "piecewise_linear")
+class PiecewiseLinearBlock(StaticSpec):
+    """Straight lines between evenly spaced knots; of an input of fewer levels, between its levels.
+
+    Examples
+    --------
+    >>> PiecewiseLinearBlock(knots=3).basis(np.linspace(0, 1, 9), 0.0, 1.0).knots
+    (0.0, 0.5, 1.0)
+    """
+
+    knots: Annotated[Count, Field(ge=2, le=500)]
+    """Number of knots."""
+
+    def _basis(self, x: Array, low: float, high: float) -> Basis:
+        return PiecewiseLinear(_knots(x, low, high, self.knots))
+
+
+@component("block", "cubic_spline")
+class CubicSplineBlock(StaticSpec):
+    """Cubic spline on evenly spaced knots: two more coefficients than knots.
+
+    Examples
+    --------
+    >>> CubicSplineBlock(knots=3).basis(np.zeros(1), 0.0, 1.0).size
+    5
+    """
+
+    knots: Annotated[Count, Field(ge=2, le=500)]
+    """Number of knots, the ends of the range among them."""
+
+    def _basis(self, x: Array, low: float, high: float) -> Basis:
+        return CubicSpline(tuple(np.linspace(low, high, self.knots).tolist()))
+
+
+class _WithCorners(StaticSpec):
+    def is_fixed(self) -> bool:
+        return True
+
+    def _corners(self, x: Array, low: float, high: float) -> tuple[float, float]:
+        raise NotImplementedError
+
+
+@component("block", "saturation")
+class SaturationBlock(_WithCorners):
+    """Line between two corners that are found, constant beyond them.
+
+    Examples
+    --------
+    >>> SaturationBlock().basis(np.linspace(-2, 2, 101), -2.0, 2.0).kind
+    'saturation'
+    """
+
+    def _basis(self, x: Array, low: float, high: float) -> Basis:
+        return Saturation(*_corners(x, 0.15, low, high))
+
+
+@component("block", "dead_zone")
+class DeadZoneBlock(_WithCorners):
+    """Constant between two corners that are found, a line beyond each.
+
+    Examples
+    --------
+    >>> DeadZoneBlock().basis(np.linspace(-2, 2, 101), -2.0, 2.0).kind
+    'dead_zone'
+    """
+
+    def _basis(self, x: Array, low: float, high: float) -> Basis:
+        return DeadZone(*_corners(x, 0.35, low, high))
+
+
+def _corners(x: Array, share: float, low: float, high: float) -> tuple[float, float]:
+    """Corners that leave this share of the signal beyond each of them."""
+    left, right = (float(value) for value in np.quantile(x, [share, 1.0 - share]))
+    return (left, right) if left < right else (low + share * (high - low), high - share * (high - low))
+
+
+def structures(blocks: tuple[Any, ...]) -> tuple[LinearStructure | StaticKind, ...]:
+    """What is to be found of each block."""
+    return tuple(block.structure() for block in blocks)

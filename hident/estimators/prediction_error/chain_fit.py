@@ -1,0 +1,168 @@
+"""The fit of a chain of blocks: starts, a race of them on a part of the record, the best on all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hident.arrays import Array
+from hident.errors import EstimationError
+from hident.estimators.prediction_error.criterion import Data, Point, point_at
+from hident.estimators.prediction_error.descent import Descent, Status, descend
+from hident.estimators.prediction_error.excitation import require_excitation
+from hident.estimators.prediction_error.linear_start import least_squares
+from hident.estimators.prediction_error.parameters import Parameters
+from hident.estimators.prediction_error.starts import starts
+from hident.estimators.prediction_error.structure import ChainStructure
+from hident.fitted_model import NoiseModel
+from hident.static_functions import StaticFunction
+
+# The race: so many samples, and iterations of each start, then of the best of them.
+_FIRST_HEAT, _SECOND_HEAT = (6000, 6), (12000, 40)
+_KEPT_OF_FIRST = 3
+# Two fits whose losses are nearer than this are one optimum.
+_SAME = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class ChainFit:
+    """The best fit that was found.
+
+    ``starts`` counts the starts that were raced, ``finalists`` those that were followed to the end of the
+    last heat, and ``agreeing`` those of them that came to one loss: where it is one of several, there are
+    other optima.
+    """
+
+    point: Point
+    status: Status
+    iterations: int
+    evaluations: int
+    starts: int
+    finalists: int
+    agreeing: int
+
+
+def fit_chain(
+    structure: ChainStructure,
+    data: Data,
+    *,
+    ar: int = 0,
+    ma: int = 0,
+    most_starts: int = 8,
+    max_iterations: int = 100,
+) -> ChainFit:
+    """Fit a chain to data, and then the noise with it.
+
+    Raises
+    ------
+    EstimationError
+        If the input says too little, or no start can be made of the data.
+    """
+    require_excitation(structure, data)
+    first, second = (data.busiest(samples) for samples, _ in (_FIRST_HEAT, _SECOND_HEAT))
+    points = distinct(all_starts(structure, first, data), most_starts)
+    if not points:
+        raise EstimationError("no start could be made: the record says nothing about such a chain of blocks")
+    evaluations = 0
+    raced = _heat(structure, [one.parameters for one in points], first, _FIRST_HEAT[1])
+    evaluations += sum(one.evaluations for one in raced)
+    finalists = distinct([one.point for one in raced], _KEPT_OF_FIRST)
+    most = _SECOND_HEAT[1] if len(second.u) < len(data.u) else max_iterations
+    second_heat = _heat(structure, [one.parameters for one in finalists], second, most)
+    evaluations += sum(one.evaluations for one in second_heat)
+    best = second_heat[0]
+    agreeing = sum(one.point.loss <= best.point.loss * (1.0 + _SAME) for one in second_heat)
+    iterations = best.iterations
+    if len(second.u) < len(data.u):
+        [best] = _heat(structure, [best.point.parameters], data, max_iterations)
+        evaluations, iterations = evaluations + best.evaluations, iterations + best.iterations
+    if ar or ma:
+        with_noise = descend(_with_noise(best.point, ar, ma), max_iterations)
+        evaluations, iterations = evaluations + with_noise.evaluations, iterations + with_noise.iterations
+        best = with_noise
+    return ChainFit(best.point, best.status, iterations, evaluations, len(points), len(finalists), agreeing)
+
+
+def all_starts(structure: ChainStructure, first: Data, data: Data) -> list[Point]:
+    """The starts of a chain, scored on the first heat's data; of several static blocks by shorter chains."""
+    found = starts(structure, data)
+    free = [i for i in structure.static if i not in structure.given]
+    if len(free) > 1:
+        for i in free:
+            shorter = structure.without(i)
+            points = distinct(all_starts(shorter, first, data), 4)
+            for raced in _heat(shorter, [one.parameters for one in points], first, _FIRST_HEAT[1])[:2]:
+                found += _lengthened(structure, i, raced.point, first)
+    scored = [point_at(first, one.parameters) for one in found]
+    return sorted((one for one in scored if one is not None), key=lambda one: one.loss)
+
+
+def _lengthened(structure: ChainStructure, i: int, point: Point, data: Data) -> list[Point]:
+    """The start of the longer chain in which block i is the identity."""
+    blocks = dict(enumerate(point.parameters.chain.blocks))
+    longer = {j + (j >= i): one for j, one in blocks.items()}
+    linear = {j: one for j, one in longer.items() if not isinstance(one, StaticFunction)}
+    functions = {j: one for j, one in longer.items() if isinstance(one, StaticFunction)}
+    try:
+        made = point_at(data, structure.made(data, linear, functions))
+    except ValueError:
+        return []
+    return [] if made is None else [made]
+
+
+def distinct(points: Sequence[Point], most: int) -> list[Point]:
+    """The best points, those of one loss once."""
+    found: list[Point] = []
+    for point in sorted(points, key=lambda one: one.loss):
+        if len(found) < most and not any(abs(point.loss - one.loss) <= 1e-9 * one.loss for one in found):
+            found.append(point)
+    return found
+
+
+def _heat(
+    structure: ChainStructure, chains: Sequence[Parameters], data: Data, iterations: int
+) -> list[Descent]:
+    """Where each chain comes in so many iterations, the best first."""
+    begun = [point_at(data, structure.ranged(data, chain)) for chain in chains]
+    found = [descend(point, iterations) for point in begun if point is not None]
+    if not found:
+        raise EstimationError("the output of every start is not finite on this record")
+    return sorted(found, key=lambda one: one.point.loss)
+
+
+def _with_noise(point: Point, ar: int, ma: int) -> Point:
+    """The point with a noise model by Hannan and Rissanen's two regressions (1982, Biometrika 69, 81)."""
+    data = replace(point.data, start="rest")
+    long = ar + (ma + 10 if ma else 0)
+    rows = np.empty((long, len(point.v)))
+    for j in range(long):
+        data.delayed(point.v, j + 1, rows[j])
+    d = least_squares(rows[:, data.counted], point.v[data.counted])
+    c = np.zeros(0)
+    if ma:
+        e = point.v - d @ rows
+        rows = np.empty((ar + ma, len(e)))
+        for j in range(ar):
+            data.delayed(point.v, j + 1, rows[j])
+        for j in range(ma):
+            data.delayed(e, j + 1, rows[ar + j])
+        numbers = least_squares(rows[:, data.counted], point.v[data.counted])
+        d, c = numbers[:ar], numbers[ar:]
+    noise = NoiseModel(ar=_inside(d, -1.0), ma=_inside(c, 1.0))
+    found = point_at(point.data, point.parameters, noise)
+    if found is None:
+        raise EstimationError("the noise of the output error has no model that is finite")
+    return found
+
+
+def _inside(coefficients: Array, sign: float) -> tuple[float, ...]:
+    """The coefficients of 1 + sign (c_1 q^-1 + ...) with its roots reflected into the unit circle."""
+    if not len(coefficients):
+        return ()
+    roots = np.roots(np.r_[1.0, sign * coefficients])
+    size = np.abs(roots)
+    roots[size > 1.0] = 1.0 / roots[size > 1.0].conj()
+    roots = np.where(np.abs(roots) > 0.99, roots * (0.99 / np.maximum(np.abs(roots), 0.99)), roots)
+    return tuple((sign * np.poly(roots).real[1:]).tolist())

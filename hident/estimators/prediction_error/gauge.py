@@ -1,0 +1,101 @@
+"""The rule that fixes what no data determine in a chain of blocks.
+
+- Each linear block has the static gain 1; one that has none to speak of, an impulse response of length 1 that
+  starts positive. The factor goes to the next static block, or to the one before where none follows.
+- Of two static blocks with linear ones between, the first gives at the ends of its range what it takes there,
+  as far as a factor and a constant can do it: what stands behind it has the unit of the input. A function
+  with nearly equal values at both ends goes from 0 to 1 instead.
+- A chain of linear blocks only keeps the factor in the last.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from hident.block_chain import Block, BlockChain, Start
+from hident.linear_blocks import TransferFunction
+from hident.static_functions import StaticFunction
+
+# A static gain below this part of the largest gain is none.
+_NO_GAIN = 1e-3
+# Ends that differ by less than this part of the range of the values are equal.
+_EQUAL_ENDS = 0.1
+_FREQUENCIES = np.linspace(0.0, np.pi, 257)
+_GRID = 257
+
+
+def normalised(chain: BlockChain, held: frozenset[int] = frozenset(), start: Start = "settled") -> BlockChain:
+    """The chain of the same response in which the rule holds, but for the blocks that are held."""
+    blocks = list(chain.blocks)
+    for i, block in enumerate(blocks):
+        if not isinstance(block, TransferFunction) or i in held:
+            continue
+        target = _receiver(blocks, i, held)
+        if target is not None:
+            gain = gain_of(block)
+            blocks[i] = replace(block, b=tuple(b / gain for b in block.b))
+            blocks[target] = _taken(blocks[target], gain, is_behind=target > i)
+    static = [i for i, block in enumerate(blocks) if isinstance(block, StaticFunction)]
+    for i, j in pairwise(static):
+        if i in held or j in held:
+            continue
+        first, second = blocks[i], blocks[j]
+        assert isinstance(first, StaticFunction)
+        assert isinstance(second, StaticFunction)
+        between = [block for block in blocks[i:j] if isinstance(block, TransferFunction)]
+        gain = math.prod(block.static_gain() for block in between)
+        factor, offset = _line(first)
+        if start == "rest" or not all(np.isclose(block.static_gain(), 1.0) for block in between):
+            offset, gain = 0.0, 1.0
+        blocks[i] = first.scaled(factor, offset)
+        blocks[j] = second.moved(factor, offset * gain)
+    return replace(chain, blocks=tuple(blocks))
+
+
+def gain_of(block: TransferFunction) -> float:
+    """What the block is divided by: its static gain, or the length of its impulse response."""
+    response = np.abs(np.polyval(block.b[::-1], np.exp(-1j * _FREQUENCIES)))
+    response = response / np.abs(np.polyval(block.denominator[::-1], np.exp(-1j * _FREQUENCIES)))
+    static = block.static_gain()
+    if math.isfinite(static) and abs(static) > _NO_GAIN * float(np.max(response)):
+        return static
+    impulse = block.impulse_response(4096)
+    first = impulse[np.argmax(np.abs(impulse) > 1e-6 * np.max(np.abs(impulse)))]
+    return float(np.copysign(np.linalg.norm(impulse), first)) or 1.0
+
+
+def _receiver(blocks: list[Block], i: int, held: frozenset[int]) -> int | None:
+    """Which block takes the factor of the linear block i; None if it stays."""
+    behind = next((j for j in range(i + 1, len(blocks)) if isinstance(blocks[j], StaticFunction)), None)
+    before = next((j for j in range(i - 1, -1, -1) if isinstance(blocks[j], StaticFunction)), None)
+    for place in (behind, before):
+        if place is not None and place not in held:
+            return place
+    if behind is None and before is None and i + 1 < len(blocks) and i + 1 not in held:
+        return i + 1
+    return None
+
+
+def _taken(block: Block, gain: float, *, is_behind: bool) -> Block:
+    if isinstance(block, TransferFunction):
+        return replace(block, b=tuple(gain * b for b in block.b))
+    # Behind the block, what comes in is smaller by the factor; before it, what goes out is larger.
+    return block.moved(1.0 / gain, 0.0) if is_behind else block.scaled(gain, 0.0)
+
+
+def _line(function: StaticFunction) -> tuple[float, float]:
+    """The factor and the constant that bring the values of a function to the rule."""
+    low, high = function.range
+    grid = np.linspace(low, high, _GRID)
+    values = function(grid)
+    left, right, least, most = values[0], values[-1], float(np.min(values)), float(np.max(values))
+    if abs(right - left) > _EQUAL_ENDS * (most - least):
+        factor = (high - low) / float(right - left)
+        return factor, low - factor * float(left)
+    if most == least:
+        return 1.0, 0.0
+    return 1.0 / (most - least), -least / (most - least)

@@ -1,0 +1,150 @@
+"""A chain of blocks as a vector of numbers, and the chain that a vector stands for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hident.arrays import Array
+from hident.block_chain import Block, BlockChain
+from hident.linear_blocks import TransferFunction
+from hident.static_functions import Basis, StaticFunction
+
+
+@dataclass(frozen=True)
+class LinearStructure:
+    """B/F with b_nk, ..., b_{nk + nb - 1} and f_1, ..., f_nf to be found."""
+
+    nb: int
+    nf: int
+    nk: int = 0
+
+    @property
+    def size(self) -> int:
+        return self.nb + self.nf
+
+    def made(self, numbers: Array) -> TransferFunction:
+        """The block of the numbers b, f."""
+        b, f = numbers[: self.nb].tolist(), numbers[self.nb :]
+        return TransferFunction(b=(*(0.0,) * self.nk, *b), a=tuple((-f).tolist()))
+
+    def numbers(self, block: TransferFunction) -> Array:
+        """b, f of a block, filled up with zeros, or cut off, to this structure."""
+        b, f = np.zeros(self.nb), np.zeros(self.nf)
+        given = np.asarray(block.b[self.nk :], dtype=float)[: self.nb]
+        b[: len(given)] = given
+        feedback = -np.asarray(block.a, dtype=float)[: self.nf]
+        f[: len(feedback)] = feedback
+        return np.concatenate((b, f))
+
+
+@dataclass(frozen=True)
+class StaticStructure:
+    """A basis, whose shape and coefficients are to be found."""
+
+    basis: Basis
+
+    @property
+    def size(self) -> int:
+        return len(self.basis.shape) + self.basis.size
+
+    def made(self, numbers: Array) -> StaticFunction:
+        """The function of the numbers shape, coefficients; ValueError where there is none of this shape."""
+        shape = len(self.basis.shape)
+        basis = self.basis.reshaped(numbers[:shape].tolist())
+        return StaticFunction(basis, tuple(numbers[shape:].tolist()))
+
+    def numbers(self, block: StaticFunction) -> Array:
+        """Shape and coefficients of a function of such a basis."""
+        return np.array((*block.basis.shape, *block.coefficients), dtype=float)
+
+
+Structure = LinearStructure | StaticStructure
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Which numbers of a chain are to be found, and where each stands in their vector theta.
+
+    A block among ``held`` keeps the numbers of ``chain``. The coefficients of the last static block that is
+    not held are solved for (``projected``): all that follows it is linear.
+    """
+
+    structures: tuple[Structure, ...]
+    chain: BlockChain
+    held: frozenset[int] = frozenset()
+
+    @classmethod
+    def of(cls, structures: Sequence[Structure], chain: BlockChain, held: Sequence[int] = ()) -> Parameters:
+        """The parameters of a chain, whose static blocks say the bases."""
+        kept = tuple(
+            StaticStructure(block.basis) if isinstance(block, StaticFunction) else structure
+            for structure, block in zip(structures, chain.blocks, strict=True)
+        )
+        return cls(kept, chain, frozenset(held))
+
+    @property
+    def free(self) -> tuple[int, ...]:
+        """The places of the blocks to be found."""
+        return tuple(i for i in range(len(self.structures)) if i not in self.held)
+
+    @property
+    def projected(self) -> int | None:
+        """The place of the block whose coefficients are solved for."""
+        last = [i for i in self.free if isinstance(self.structures[i], StaticStructure)]
+        behind = max((i for i, s in enumerate(self.structures) if isinstance(s, StaticStructure)), default=-1)
+        return last[-1] if last and last[-1] == behind else None
+
+    def stepped(self, i: int) -> int:
+        """How many of block i's numbers are found by steps: all but those that are solved for."""
+        structure = self.structures[i]
+        if i == self.projected:
+            assert isinstance(structure, StaticStructure)
+            return len(structure.basis.shape)
+        return structure.size
+
+    def theta(self) -> Array:
+        """The numbers found by steps, as they stand in the chain."""
+        pieces = [self.numbers(i)[: self.stepped(i)] for i in self.free]
+        return np.concatenate(pieces) if pieces else np.zeros(0)
+
+    def numbers(self, i: int) -> Array:
+        """All numbers of block i."""
+        structure, block = self.structures[i], self.chain.blocks[i]
+        if isinstance(structure, LinearStructure):
+            assert isinstance(block, TransferFunction)
+            return structure.numbers(block)
+        assert isinstance(block, StaticFunction)
+        return structure.numbers(block)
+
+    def moved(self, theta: Array) -> Parameters:
+        """These parameters with other numbers; ValueError where a shape does not exist."""
+        blocks: list[Block] = list(self.chain.blocks)
+        place = 0
+        for i in self.free:
+            count = self.stepped(i)
+            numbers = self.numbers(i)
+            numbers[:count] = theta[place : place + count]
+            blocks[i] = self.structures[i].made(numbers)
+            place += count
+        return replace(self, chain=replace(self.chain, blocks=tuple(blocks)))
+
+    def with_block(self, i: int, block: Block) -> Parameters:
+        """These parameters with block i in place of its own."""
+        blocks = list(self.chain.blocks)
+        blocks[i] = block
+        return replace(self, chain=replace(self.chain, blocks=tuple(blocks)))
+
+    def count(self) -> int:
+        """How many numbers are to be found."""
+        return sum(self.structures[i].size for i in self.free)
+
+    def is_stable(self) -> bool:
+        """Whether all linear blocks to be found are stable."""
+        return all(
+            block.is_stable()
+            for i in self.free
+            if isinstance(block := self.chain.blocks[i], TransferFunction) and block.a
+        )

@@ -1,0 +1,204 @@
+"""Chains of linear and static blocks by prediction error: Hammerstein, Wiener, and what is longer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from hident.block_chain import Start
+from hident.config.spec import Count, NonEmpty, Of, Spec, component
+from hident.errors import EstimationError
+from hident.estimators.base import AtOneInterval, require_finite, require_varying
+from hident.estimators.normalisation import Normalisation, unit_static_gain
+from hident.estimators.prediction_error.block_specs import BlockSpec, LinearBlock, StaticSpec
+from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain
+from hident.estimators.prediction_error.criterion import Data
+from hident.estimators.prediction_error.standard_errors import names, normal_form, standard_errors, values
+from hident.estimators.prediction_error.structure import ChainStructure
+from hident.fitted_model import FittedModel, NoiseModel
+from hident.records import Estimate, Record
+
+_SUMMARY = ("mse", "iterations", "starts", "finalists", "agreeing")
+
+
+class NoiseOrders(Spec):
+    """Orders of D and C in D(q) v = C(q) e, the noise on the output; both zero: output error."""
+
+    ar: Annotated[Count, Field(ge=0, le=100)] = 0
+    """Order of D."""
+    ma: Annotated[Count, Field(ge=0, le=100)] = 0
+    """Order of C."""
+
+
+@component("estimator", "prediction_error", source="Ljung, System Identification, 2nd ed., 7.2, 10.2")
+class PredictionError(AtOneInterval):
+    """Chain of blocks whose sum of squared prediction errors is least, of several starts.
+
+    The blocks say what is fitted: static-linear is a Hammerstein system, linear-static a Wiener system,
+    linear-static-linear a Wiener-Hammerstein system, static-linear-static a Hammerstein-Wiener one. With
+    ``noise`` of orders zero this is output error: the simulation is fitted; else one-step predictions are.
+    What no data determine is fixed by static gains of 1, see :mod:`hident.estimators.prediction_error.gauge`.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity=hi.Polynomial(coefficients=[0, 1, 0.5]), linear=hi.Ar(a=[0.5]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> blocks = [hi.PolynomialBlock(degree=2), hi.LinearBlock(nb=1, nf=1)]
+    >>> found = hi.fit(hi.PredictionError(blocks=blocks, start="rest", n_init=50), record)
+    >>> round(found.linear.a[0], 6), found.model.chain.structure
+    (0.5, 'N-L')
+    """
+
+    blocks: NonEmpty[Annotated[BlockSpec, Of("block")]]
+    """The blocks from the input to the output."""
+    noise: NoiseOrders = NoiseOrders()
+    """Orders of the noise model."""
+    start: Literal["settled", "rest"] = "settled"
+    """What was before a record: its first input for ever, or nothing."""
+    n_init: Annotated[Count, Field(ge=0)] = 0
+    """First samples of each experiment that are simulated but not fitted."""
+    starts: Annotated[Count, Field(ge=1, le=1000)] = 8
+    """Most starts that are raced."""
+    max_iterations: Annotated[Count, Field(ge=1)] = 100
+    """Most iterations of the last descent."""
+
+    @field_validator("blocks")
+    @classmethod
+    def _something_to_find(cls, blocks: tuple[BlockSpec, ...]) -> tuple[BlockSpec, ...]:
+        if all(block.held for block in blocks):
+            raise ValueError("all blocks are held: one at least must be found")
+        for i, (one, other) in enumerate(pairwise(blocks), start=1):
+            if isinstance(one, StaticSpec) and isinstance(other, StaticSpec):
+                raise ValueError(
+                    f"blocks {i} and {i + 1} are both static, which together are one static function"
+                )
+        return blocks
+
+    def fewest_samples(self) -> int:
+        return self.n_init + 2 * self._count()
+
+    def _count(self) -> int:
+        """How many numbers are to be found, at least."""
+        count = self.noise.ar + self.noise.ma
+        for block in self.blocks:
+            if not block.held:
+                count += block.nb + block.nf if isinstance(block, LinearBlock) else 2
+        return count
+
+    def _places(self) -> dict[int, str]:
+        """What the names of each block's values begin with: nothing where there is one of its sort."""
+        linear = [i for i, block in enumerate(self.blocks) if isinstance(block, LinearBlock)]
+        return {i: f"l{k}_" if len(linear) > 1 else "" for k, i in enumerate(linear, start=1)}
+
+    def names(self) -> Sequence[str]:
+        found: list[str] = []
+        for i, before in self._places().items():
+            block = self.blocks[i]
+            assert isinstance(block, LinearBlock)
+            own = [f"b_{block.nk + j}" for j in range(block.nb)]
+            own += [f"a_{j}" for j in range(1, block.nf + 1)]
+            found += [f"{before}{name}" for name in own]
+            found += [f"se_{before}{name}" for name in own]
+        return [*found, *_SUMMARY]
+
+    def provides(self) -> frozenset[str]:
+        parts = {"response", "model"}
+        if len(self._places()) == 1:
+            parts.add("linear")
+        if len(self.blocks) - len(self._places()) == 1:
+            parts.add("nonlinearity")
+        return frozenset((*parts, *(f"value {name}" for name in self.names())))
+
+    def normalisations(self) -> tuple[Normalisation, ...] | None:
+        if any(block.held for block in self.blocks):
+            return None
+        return (unit_static_gain("b l1_b l2_b l3_b"),)
+
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
+        fit = self.identify(record)
+        return self.estimate(fit, record)
+
+    def identify(self, record: Record) -> ChainFit:
+        """The fit, with all that is known of the search."""
+        require_finite(record.y)
+        require_varying(record.u, "input")
+        require_varying(record.y, "output")
+        self.require_experiments(record)
+        data = Data(record.u, record.y, record.experiments, self.start, self.n_init)
+        if data.count < self.fewest_samples() - self.n_init:
+            raise EstimationError(
+                f"{data.count} samples are left after n_init, and at least "
+                f"{self.fewest_samples() - self.n_init} are needed"
+            )
+        given = {i: block.given() for i, block in enumerate(self.blocks)}
+        structure = ChainStructure(
+            tuple(block.structure() for block in self.blocks),
+            {i: block for i, block in given.items() if block is not None},
+            frozenset(i for i, block in enumerate(self.blocks) if block.held),
+        )
+        return fit_chain(
+            structure,
+            data,
+            ar=self.noise.ar,
+            ma=self.noise.ma,
+            most_starts=self.starts,
+            max_iterations=self.max_iterations,
+        )
+
+    def estimate(self, fit: ChainFit, record: Record) -> Estimate:
+        """The fit as an estimate, in the normal form."""
+        point = fit.point
+        form = normal_form(point)
+        errors = standard_errors(point)
+        numbers: dict[str, float] = {}
+        for i, before in self._places().items():
+            own = names(form, i)
+            numbers |= {f"{before}{name}": value for name, value in zip(own, values(form, i), strict=True)}
+            numbers |= {f"se_{before}{name}": errors[i].get(name, 0.0) for name in own}
+        mse = point.loss / point.data.count
+        summary = (mse, fit.iterations, fit.starts, fit.finalists, fit.agreeing)
+        numbers |= dict(zip(_SUMMARY, map(float, summary), strict=True))
+        model = FittedModel(
+            chain=_at(form.chain, record.dt),
+            start=self.start,
+            noise=NoiseModel(point.noise.ar, point.noise.ma, mse),
+            errors=errors,
+            about=_about(fit, self),
+        )
+        chain = model.chain
+
+        def response(u: Any, dt: float) -> Any:
+            return chain.response(u, "rest")
+
+        return Estimate(
+            nonlinearity=chain.static[0] if len(chain.static) == 1 else None,
+            linear=chain.linear[0] if len(chain.linear) == 1 else None,
+            response=response,
+            model=model,
+            values={name: float(numbers[name]) for name in self.names()},
+            details={"status": fit.status},
+        )
+
+
+def _at(chain: Any, dt: float | None) -> Any:
+    from dataclasses import replace
+
+    return replace(chain, dt=dt)
+
+
+def _about(fit: ChainFit, spec: PredictionError) -> Mapping[str, Any]:
+    start: Start = spec.start
+    return {
+        "method": "prediction_error",
+        "start": start,
+        "status": fit.status,
+        "iterations": fit.iterations,
+        "starts": fit.starts,
+        "finalists": fit.finalists,
+        "agreeing": fit.agreeing,
+    }

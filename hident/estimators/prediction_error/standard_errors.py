@@ -1,0 +1,150 @@
+"""Standard errors of the numbers of a chain, of residuals that need not be white."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from hident.arrays import Array
+from hident.block_chain import BlockChain
+from hident.estimators.prediction_error.criterion import FREE, Point
+from hident.estimators.prediction_error.gauge import normalised
+from hident.estimators.prediction_error.parameters import LinearStructure, Parameters
+from hident.numerics.parts import Parts, following, in_each
+
+_STEP = 1e-6
+
+
+def names(parameters: Parameters, i: int) -> list[str]:
+    """The names of the numbers of block i, in their order: b and a of a linear block, c of a static one."""
+    structure = parameters.structures[i]
+    if isinstance(structure, LinearStructure):
+        b = [f"b_{structure.nk + j}" for j in range(structure.nb)]
+        return [*b, *(f"a_{j + 1}" for j in range(structure.nf))]
+    shape = ("low", "high")[: len(structure.basis.shape)]
+    return [*shape, *(f"c_{j + 1}" for j in range(structure.basis.size))]
+
+
+def values(parameters: Parameters, i: int) -> Array:
+    """The numbers of block i in that order, a with the sign of :class:`TransferFunction`."""
+    numbers = parameters.numbers(i)
+    structure = parameters.structures[i]
+    if isinstance(structure, LinearStructure):
+        numbers[structure.nb :] *= -1.0
+    return numbers
+
+
+def normal_form(point: Point) -> Parameters:
+    """The parameters in which the rule of :mod:`gauge` holds."""
+    return _normal_form(point.parameters, point)
+
+
+def _normal_form(parameters: Parameters, point: Point) -> Parameters:
+    chain = normalised(parameters.chain, parameters.held, point.data.start)
+    return Parameters.of(parameters.structures, chain, tuple(parameters.held))
+
+
+def standard_errors(point: Point) -> tuple[Mapping[str, float], ...]:
+    """The standard error of each number of each block that is not held, in the normal form.
+
+    With H the Hessian of half the sum of squares and S the covariance of the gradient, which follows from an
+    autoregressive model of the residuals, the covariance is H^+ S H^+ (Ljung, 9.2; White 1982, Econometrica
+    50, 1), carried to the normal form by its derivative: what is free drops out there.
+    """
+    free = point.parameters.free
+    derivative = _derivative(point)
+    covariance = derivative @ _covariance(point) @ derivative.T
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    found: list[Mapping[str, float]] = []
+    place = 0
+    for i in range(len(point.parameters.structures)):
+        if i not in free:
+            found.append({})
+            continue
+        block = names(point.parameters, i)
+        found.append(dict(zip(block, errors[place : place + len(block)].tolist(), strict=True)))
+        place += len(block)
+    return tuple(found)
+
+
+def _covariance(point: Point) -> Array:
+    """The covariance of the numbers of all blocks to be found, each block's together, in their own form."""
+    from scipy.signal import lfilter
+
+    rows = point.rows()[_order(point)]
+    lengths = np.linalg.norm(rows, axis=1)
+    lengths[lengths == 0.0] = 1.0
+    rows /= lengths[:, None]
+    values, vectors = np.linalg.eigh(rows @ rows.T)
+    known = values > FREE * values[-1]
+    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
+    count = len(point.residuals)
+    freedom = max(count - int(np.count_nonzero(known)), 1)
+    experiments = following(point.data.experiments, point.data.n_init)
+    d, variance = _autoregression(point.residuals, experiments, int(min(10 * np.log10(count), count // 10)))
+
+    def coloured(piece: Array) -> Array:
+        return np.asarray(lfilter([1.0], np.r_[1.0, -d], piece[:, ::-1], axis=1))
+
+    # S = J^T R J with R = variance (D^T D)^-1: the rows backwards through 1/D.
+    rows = in_each(experiments, coloured, rows, axis=1)
+    meat = variance * count / freedom * (rows @ rows.T)
+    return np.asarray(inverse @ meat @ inverse / np.outer(lengths, lengths))
+
+
+def _autoregression(e: Array, experiments: Parts, order: int) -> tuple[Array, float]:
+    """d and the variance of the white noise in e_k = d_1 e_{k-1} + ... , by Yule and Walker's equations."""
+    from scipy.linalg import solve_toeplitz
+
+    products = [
+        sum(float(e[part][lag:] @ e[part][: len(e[part]) - lag]) for part in experiments) / len(e)
+        for lag in range(order + 1)
+    ]
+    if not order or products[0] == 0.0:
+        return np.zeros(0), products[0]
+    # What is exact leaves rounding only, of which no equations can be solved.
+    covariances = np.array(products)
+    covariances[0] *= 1.0 + 1e-9
+    d = solve_toeplitz(covariances[:-1], covariances[1:])
+    return d, float(covariances[0] - d @ covariances[1:])
+
+
+def _order(point: Point) -> list[int]:
+    """Where the rows of each block's numbers stand among those of the point; the noise's are left out."""
+    parameters = point.parameters
+    stepped = len(parameters.theta())
+    behind = stepped + len(point.noise.ar) + len(point.noise.ma)
+    found: list[int] = []
+    place = 0
+    for i in parameters.free:
+        count = parameters.stepped(i)
+        found += range(place, place + count)
+        place += count
+        found += range(behind, behind + parameters.structures[i].size - count)
+    return found
+
+
+def _derivative(point: Point) -> Array:
+    """The derivative of the numbers in the normal form by those in their own form, by differences."""
+    parameters = point.parameters
+    own = [parameters.numbers(i) for i in parameters.free]
+    sizes = np.cumsum([0, *(len(numbers) for numbers in own)])
+    whole = np.concatenate(own)
+    found = np.empty((len(whole), len(whole)))
+    for k in range(len(whole)):
+        sides = []
+        block = own[int(np.searchsorted(sizes, k, "right")) - 1]
+        step = _STEP * max(abs(whole[k]), float(np.max(np.abs(block))))
+        for sign in (1.0, -1.0):
+            moved = whole.copy()
+            moved[k] += sign * step
+            chain: BlockChain = parameters.chain
+            blocks = list(chain.blocks)
+            for i, start, stop in zip(parameters.free, sizes, sizes[1:], strict=False):
+                blocks[i] = parameters.structures[i].made(moved[start:stop])
+            form = _normal_form(replace(parameters, chain=replace(chain, blocks=tuple(blocks))), point)
+            sides.append(np.concatenate([values(form, i) for i in form.free]))
+        found[:, k] = (sides[0] - sides[1]) / (2.0 * step)
+    return found

@@ -1,0 +1,218 @@
+"""Where the search for a chain of blocks starts: what linear least squares can say about it.
+
+- The best linear approximation, its poles and zeros split between the linear blocks in all ways (Schoukens,
+  Pintelon, Rolain 2014, Automatica 50, 628), for any chain; the static block that is last is solved for.
+- For a static block before one linear block, the over-parameterised model F y = sum_k B_k phi_k(u), and the
+  leading singular pair of its coefficients (Bai 1998, Automatica 34, 333), by Steiglitz and McBride's
+  iteration.
+- For a static block behind the first linear block, the leading eigenvector of the second-order Volterra
+  kernel, which an even function has where the best linear approximation is nothing.
+- For several static blocks, the fits of the chain without one of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from hident.arrays import Array, Complex
+from hident.estimators.prediction_error.allocations import block, fits, splits
+from hident.estimators.prediction_error.criterion import Data, Point, point_at
+from hident.estimators.prediction_error.descent import norm
+from hident.estimators.prediction_error.linear_start import (
+    demeaned,
+    least_squares,
+    stabilised,
+    steiglitz_mcbride,
+)
+from hident.estimators.prediction_error.parameters import LinearStructure
+from hident.estimators.prediction_error.structure import ChainStructure
+from hident.linear_blocks import TransferFunction
+
+# The linear approximation is made of so many samples, splits are scored on so many.
+_APPROXIMATED, _SCORED = 20000, 4000
+# A longer approximation has more splits than can be tried.
+_MOST_ROOTS = 6
+_MOST_SPLITS = 4096
+_KERNEL_LAGS, _KERNEL_SAMPLES = 20, 10000
+
+
+def starts(structure: ChainStructure, data: Data) -> list[Point]:
+    """The starts of a chain with at most one static block to be found, the best first."""
+    few = data.first(_SCORED)
+    found = [*_splits_of_approximation(structure, data, few), *_overparameterised(structure, data, few)]
+    found += _of_the_kernel(structure, data, few)
+    return sorted(found, key=lambda point: point.loss)
+
+
+def scored(structure: ChainStructure, linear: Mapping[int, TransferFunction], few: Data) -> Point | None:
+    """The point of these linear blocks, with the static ones as they come; None if it is not finite."""
+    if not all(one.is_stable() for one in linear.values() if one.a):
+        return None
+    try:
+        parameters = structure.made(few, linear, {})
+    except ValueError:
+        return None
+    return point_at(few, parameters)
+
+
+def _splits_of_approximation(structure: ChainStructure, data: Data, few: Data) -> Iterator[Point]:
+    """For each split of the poles, the best split of the zeros."""
+    wanted = structure.linear
+    if not wanted:
+        if (point := scored(structure, {}, few)) is not None:
+            yield point
+        return
+    sizes = [(one.nb, one.nf) for one in wanted.values()]
+    delays = [one.nk for one in wanted.values()]
+    poles_wanted, zeros_wanted = sum(nf for _, nf in sizes), sum(nb - 1 for nb, _ in sizes)
+    if len(wanted) > 1:
+        poles_wanted, zeros_wanted = min(poles_wanted, _MOST_ROOTS), min(zeros_wanted, _MOST_ROOTS)
+    whole = demeaned(data.first(_APPROXIMATED))
+    models = steiglitz_mcbride(whole, zeros_wanted + 1, poles_wanted, sum(delays))
+    if not models:
+        return
+    best = min(models, key=lambda model: linear_loss(whole, model))
+    # Splitting costs the product of both: the last model alone where there is more than one block.
+    tried = models if len(wanted) == 1 else [best]
+    for model in tried:
+        yield from _best_splits(structure, model, sizes, delays, few)
+
+
+def _best_splits(
+    structure: ChainStructure,
+    model: TransferFunction,
+    sizes: Sequence[tuple[int, int]],
+    delays: Sequence[int],
+    few: Data,
+) -> Iterator[Point]:
+    places = list(structure.linear)
+    zero_splits = list(splits(_zeros(model, sum(delays)), len(places)))
+    for poles in splits(model.poles(), len(places)):
+        best: Point | None = None
+        for zeros in zero_splits[:_MOST_SPLITS]:
+            if not fits(zeros, poles, sizes):
+                continue
+            linear = {
+                i: block(z, p, delay) for i, z, p, delay in zip(places, zeros, poles, delays, strict=True)
+            }
+            point = scored(structure, linear, few)
+            if point is not None and (best is None or point.loss < best.loss):
+                best = point
+        if best is not None:
+            yield best
+
+
+def _zeros(model: TransferFunction, delay: int) -> Complex:
+    b = np.asarray(model.b[delay:])
+    # A first coefficient of nothing is a zero at infinity.
+    largest = float(np.max(np.abs(b), initial=0.0))
+    b = np.where(np.abs(b) < 1e-3 * largest, np.sign(b + (b == 0.0)) * 1e-3 * largest, b)
+    return np.roots(b).astype(np.complex128)
+
+
+def linear_loss(data: Data, model: TransferFunction) -> float:
+    """What a linear model leaves of demeaned data, a constant apart."""
+    return float(np.var((data.y - data.through(model, data.u))[data.counted]))
+
+
+def _overparameterised(structure: ChainStructure, data: Data, few: Data) -> Iterator[Point]:
+    if len(structure.blocks) != 2 or structure.given:
+        return
+    kind, orders = structure.blocks
+    if isinstance(kind, LinearStructure) or not isinstance(orders, LinearStructure):
+        return
+    data = data.first(_APPROXIMATED)
+    low, high = float(np.min(data.u)), float(np.max(data.u))
+    if not high > low:
+        return
+    basis = kind.basis(data.u, low, high)
+    phi = basis.rows(data.u)
+    # The constant is a column of its own: functions that sum to one would repeat it.
+    phi = phi - phi.mean(axis=1, keepdims=True)
+    keep = [k for k in range(len(phi)) if norm(phi[k]) > 0.0]
+    phi = phi[keep]
+    f = np.zeros(orders.nf)
+    for _ in range(8):
+        denominator = np.r_[1.0, f]
+        inputs, y = (data.filtered(np.ones(1), denominator, signal) for signal in (phi, data.y))
+        rows = np.empty((len(phi) * orders.nb + orders.nf + 1, len(data.u)))
+        for k, j in product(range(len(phi)), range(orders.nb)):
+            data.delayed(inputs[k], orders.nk + j, rows[k * orders.nb + j])
+        for j in range(orders.nf):
+            data.delayed(y, j + 1, rows[len(phi) * orders.nb + j], -1.0)
+        rows[-1] = 1.0
+        numbers = least_squares(rows[:, data.counted], y[data.counted])
+        products = numbers[: len(phi) * orders.nb].reshape(len(phi), orders.nb)
+        f = (
+            -np.asarray(
+                stabilised(TransferFunction(a=tuple((-numbers[len(phi) * orders.nb : -1]).tolist()))).a
+            )
+            if orders.nf
+            else f
+        )
+        b = np.linalg.svd(products)[2][0]
+        linear = TransferFunction((*(0.0,) * orders.nk, *b.tolist()), tuple((-f).tolist()))
+        if (point := scored(structure, {1: linear}, few)) is not None:
+            yield point
+
+
+def _of_the_kernel(structure: ChainStructure, data: Data, few: Data) -> Iterator[Point]:
+    """Starts for an even function behind the first linear block."""
+    wanted = structure.linear
+    if not structure.static or not wanted:
+        return
+    first, last = min(wanted), max(wanted)
+    if first > structure.static[0] or len(structure.static) > 1 or len(wanted) > 2:
+        return
+    orders = wanted[first]
+    data = demeaned(data.first(_KERNEL_SAMPLES))
+    for h in _kernel_vectors(data, orders):
+        for model in _rational(h, orders):
+            if last == first:
+                linear = {first: model}
+            else:
+                x = data.through(model, data.u)
+                squared = replace(data, u=x**2 - np.mean(x**2))
+                behind = wanted[last]
+                models = steiglitz_mcbride(squared, behind.nb, behind.nf, behind.nk)
+                linear = {first: model, last: min(models, key=lambda one: linear_loss(squared, one))}
+            if (point := scored(structure, linear, few)) is not None:
+                yield point
+
+
+def _kernel_vectors(data: Data, orders: LinearStructure) -> list[Array]:
+    """Leading eigenvectors of the second-order kernel, over the first lags from the delay on."""
+    lags = min(_KERNEL_LAGS, max(len(data.u) // 40, 2))
+    past = np.empty((lags, len(data.u)))
+    for j in range(lags):
+        data.delayed(data.u, orders.nk + j, past[j])
+    pairs = [(i, j) for i in range(lags) for j in range(i, lags)]
+    if len(pairs) > len(data.u) // 4:
+        return []
+    rows = np.empty((len(pairs) + lags + 1, len(data.u)))
+    for k, (i, j) in enumerate(pairs):
+        np.multiply(past[i], past[j], out=rows[k])
+    rows[len(pairs) : -1] = past
+    rows[-1] = 1.0
+    numbers = least_squares(rows[:, data.counted], data.y[data.counted])
+    kernel = np.zeros((lags, lags))
+    for (i, j), value in zip(pairs, numbers, strict=False):
+        kernel[i, j] += value / 2.0
+        kernel[j, i] += value / 2.0
+    values, vectors = np.linalg.eigh(kernel)
+    return [vectors[:, np.argmax(np.abs(values))]]
+
+
+def _rational(h: Array, orders: LinearStructure) -> Iterator[TransferFunction]:
+    """Models whose impulse response from the delay on is near h (n,)."""
+    impulse = np.zeros(len(h))
+    impulse[0] = 1.0
+    data = Data(impulse, h, (slice(0, len(h)),), "rest")
+    models = steiglitz_mcbride(data, orders.nb, min(orders.nf, len(h) // 3), 0, constant=False)
+    if models:
+        best = min(models, key=lambda model: norm(h - data.through(model, impulse)))
+        yield replace(best, b=((0.0,) * orders.nk + best.b))

@@ -1,0 +1,145 @@
+"""What a chain of blocks is made of before any number is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from hident.arrays import Array
+from hident.block_chain import Block, BlockChain
+from hident.estimators.prediction_error.criterion import Data, solved
+from hident.estimators.prediction_error.parameters import (
+    LinearStructure,
+    Parameters,
+    StaticStructure,
+    Structure,
+)
+from hident.linear_blocks import TransferFunction
+from hident.static_functions import Basis, StaticFunction
+
+# How far beyond the signal that was met a basis reaches, relative to its range.
+_MARGIN = 0.02
+
+
+class StaticKind(Protocol):
+    """A kind of static function, which makes its basis for the signal that it meets."""
+
+    def basis(self, x: Array, low: float, high: float) -> Basis:
+        """The basis for a signal x (N,), which spans [low, high]."""
+
+    def is_fixed(self) -> bool:
+        """Whether its range was given, and does not follow the signal."""
+
+
+@dataclass(frozen=True)
+class ChainStructure:
+    """Blocks in their order: orders of linear ones, kinds of static ones, some of them given or held.
+
+    ``given`` blocks are where the search starts, ``held`` ones (among them) stay.
+    """
+
+    blocks: tuple[LinearStructure | StaticKind, ...]
+    given: Mapping[int, Block] = field(default_factory=dict)
+    held: frozenset[int] = frozenset()
+
+    @property
+    def linear(self) -> dict[int, LinearStructure]:
+        """The linear blocks to be found that are not given, by their places."""
+        return {
+            i: block
+            for i, block in enumerate(self.blocks)
+            if isinstance(block, LinearStructure) and i not in self.given
+        }
+
+    @property
+    def static(self) -> tuple[int, ...]:
+        """The places of the static blocks."""
+        return tuple(i for i, block in enumerate(self.blocks) if not isinstance(block, LinearStructure))
+
+    def without(self, i: int) -> ChainStructure:
+        """The chain with one block less."""
+
+        def moved(j: int) -> int:
+            return j - (j > i)
+
+        return ChainStructure(
+            (*self.blocks[:i], *self.blocks[i + 1 :]),
+            {moved(j): block for j, block in self.given.items() if j != i},
+            frozenset(moved(j) for j in self.held if j != i),
+        )
+
+    def made(self, data: Data, linear: Mapping[int, TransferFunction], functions: Functions) -> Parameters:
+        """The parameters with these linear blocks, ranges after the signals, and functions for static blocks.
+
+        A static block of which no function is said is the identity; the last one will be solved for. What
+        stands before a static block that is not held is scaled to a standard deviation of one.
+        """
+        blocks: list[Block] = []
+        structures: list[Structure] = []
+        x = data.u
+        for i, block in enumerate(self.blocks):
+            if isinstance(block, LinearStructure):
+                made = self.given.get(i) or linear[i]
+                assert isinstance(made, TransferFunction)
+                y = data.through(made, x)
+                is_before_static = i + 1 < len(self.blocks) and i + 1 in self.static
+                scale = float(np.std(y[data.counted]))
+                if i not in self.given and is_before_static and i + 1 not in self.given and scale > 0.0:
+                    made = replace(made, b=tuple(b / scale for b in made.b))
+                    y = y / scale
+                structures.append(block)
+                x = y
+            else:
+                function = self.given.get(i) or fitted(block, x, functions.get(i), data)
+                assert isinstance(function, StaticFunction)
+                made = function
+                structures.append(StaticStructure(function.basis))
+                x = function(x)
+            blocks.append(made)
+        return Parameters.of(structures, BlockChain(tuple(blocks)), tuple(self.held))
+
+    def ranged(self, data: Data, parameters: Parameters) -> Parameters:
+        """The parameters with the ranges of static blocks to be found as the signals now are."""
+        linear = {
+            i: block for i, block in enumerate(parameters.chain.blocks) if isinstance(block, TransferFunction)
+        }
+        functions = {i: parameters.chain.blocks[i] for i in self.static}
+        given = {i: block for i, block in self.given.items() if i in self.held}
+        fresh = replace(self, given=given)
+        # Scaled blocks would meet functions of what was there before.
+        return fresh._as_they_are(data, linear, functions)
+
+    def _as_they_are(
+        self, data: Data, linear: Mapping[int, TransferFunction], functions: Mapping[int, Block]
+    ) -> Parameters:
+        blocks: list[Block] = []
+        structures: list[Structure] = []
+        x = data.u
+        for i, block in enumerate(self.blocks):
+            if isinstance(block, LinearStructure):
+                structures.append(block)
+                blocks.append(linear[i])
+            else:
+                function = functions[i]
+                assert isinstance(function, StaticFunction)
+                if i not in self.held and not function.basis.shape and not block.is_fixed():
+                    function = fitted(block, x, function, data)
+                structures.append(StaticStructure(function.basis))
+                blocks.append(function)
+            x = data.through(blocks[-1], x)
+        return Parameters.of(structures, BlockChain(tuple(blocks)), tuple(self.held))
+
+
+Functions = Mapping[int, "StaticFunction | None"]
+
+
+def fitted(kind: StaticKind, x: Array, function: object, data: Data) -> StaticFunction:
+    """The function of this kind that is nearest to another on a signal x (N,); to the identity if None."""
+    low, high = float(np.min(x[data.counted])), float(np.max(x[data.counted]))
+    margin = _MARGIN * (high - low) or 1.0
+    basis = kind.basis(x[data.counted], low - margin, high + margin)
+    target = function(x) if isinstance(function, StaticFunction) else x
+    return StaticFunction(basis, tuple(solved(basis.rows(x), target, data).tolist()))
