@@ -17,8 +17,8 @@ _HEADER = ("figure", "median", "least", "greatest", "aim", "before", "moved")
 _PAGE = """\
 # Benchmarks
 
-What `make bench` measured last: times relative to other times of the same run, seconds of commands, memory. A
-figure has moved where neither run's median lies within the other's least and greatest.
+What `make bench` measured last: times relative to other times of the same run, seconds of commands, trials
+per second, memory. A figure has moved where neither run's median lies within the other's least and greatest.
 
 {machine}
 

@@ -6,7 +6,10 @@ import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
 
+T = TypeVar("T")
 _GROUPS = 3
 
 
@@ -66,26 +69,32 @@ def processor_seconds(action: Callable[[], object]) -> float:
 
 
 def interleaved(actions: Mapping[str, Callable[[], object]], rounds: int) -> Turns:
-    """The median seconds of each action, called in turns: A B C, A B C, ..."""
-    return _in_turns(actions, max(rounds, _GROUPS), seconds, statistics.median)
+    """The median seconds of each action, called in turns."""
+    return _timed(actions, rounds, seconds, statistics.median)
 
 
 def least(actions: Mapping[str, Callable[[], object]], rounds: int) -> Turns:
     """The least processor seconds of each action, called in turns."""
-    return _in_turns(actions, max(rounds, _GROUPS), processor_seconds, min)
+    return _timed(actions, rounds, processor_seconds, min)
 
 
-def _in_turns(
+def _timed(
     actions: Mapping[str, Callable[[], object]],
     rounds: int,
     clock: Callable[[Callable[[], object]], float],
     of: Callable[[list[float]], float],
 ) -> Turns:
-    taken: dict[str, list[float]] = {name: [] for name in actions}
+    clocked = {name: partial(clock, action) for name, action in actions.items()}
+    return Turns(in_turns(clocked, max(rounds, _GROUPS)), of)
+
+
+def in_turns(actions: Mapping[str, Callable[[], T]], rounds: int) -> dict[str, list[T]]:
+    """What each action gives, called in turns: A B C, A B C, ..."""
+    given: dict[str, list[T]] = {name: [] for name in actions}
     for _ in range(rounds):
         for name, action in actions.items():
-            taken[name].append(clock(action))
-    return Turns(taken, of)
+            given[name].append(action())
+    return given
 
 
 def show(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], aims: Sequence[str]) -> None:
