@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from hident.arrays import Array
-from hident.block_chain import Block, Start, settled_state
+from hident.block_chain import Block, BlockChain, Start, settled_state
 from hident.estimators.prediction_error.parameters import LinearStructure, Parameters
 from hident.fitted_model import NoiseModel
 from hident.linear_blocks import TransferFunction
@@ -221,9 +221,10 @@ class Point:
             parameters = parameters.with_block(place, replace(block, coefficients=coefficients))
         data = self.data
         with np.errstate(all="ignore"):
-            x = data.u
-            for block in parameters.chain.blocks:
-                x = data.through(block, x)
+            try:
+                x = simulated(data, parameters.chain)
+            except ValueError:
+                return None
             found = (data.y - data.whitened(noise, data.y - x))[data.counted]
         return found if np.all(np.isfinite(found)) else None
 
@@ -277,10 +278,22 @@ def _noise_rows(data: Data, noise: NoiseModel, v: Array, out: Array) -> None:
                 at_rest.delayed(over, j + 1, out[first + j])
 
 
+def simulated(data: Data, chain: BlockChain) -> Array:
+    """The output (N,) of a chain; ValueError if it settles nowhere and should."""
+    x = data.u
+    for block in chain.blocks:
+        x = data.through(block, x)
+    return x
+
+
 def point_at(data: Data, parameters: Parameters, noise: NoiseModel = NoiseModel()) -> Point | None:  # noqa: B008
     """The point of these parameters, with the coefficients solved for; None where it is not finite."""
-    with np.errstate(all="ignore"):
-        return _point_at(data, parameters, noise)
+    try:
+        with np.errstate(all="ignore"):
+            return _point_at(data, parameters, noise)
+    except ValueError:
+        # A pole has come so near to z = 1 that the block settles nowhere.
+        return None
 
 
 def _is_invertible(noise: NoiseModel) -> bool:

@@ -135,19 +135,22 @@ class PredictionError(AtOneInterval):
                 f"{data.count} samples are left after n_init, and at least "
                 f"{self.fewest_samples() - self.n_init} are needed"
             )
-        given = {i: block.given() for i, block in enumerate(self.blocks)}
-        structure = ChainStructure(
-            tuple(block.structure() for block in self.blocks),
-            {i: block for i, block in given.items() if block is not None},
-            frozenset(i for i, block in enumerate(self.blocks) if block.held),
-        )
         return fit_chain(
-            structure,
+            self.structure(),
             data,
             ar=self.noise.ar,
             ma=self.noise.ma,
             most_starts=self.starts,
             max_iterations=self.max_iterations,
+        )
+
+    def structure(self) -> ChainStructure:
+        """What is to be found."""
+        given = {i: block.given() for i, block in enumerate(self.blocks)}
+        return ChainStructure(
+            tuple(block.structure() for block in self.blocks),
+            {i: block for i, block in given.items() if block is not None},
+            frozenset(i for i, block in enumerate(self.blocks) if block.held),
         )
 
     def estimate(self, fit: ChainFit, record: Record) -> Estimate:

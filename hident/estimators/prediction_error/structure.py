@@ -71,11 +71,13 @@ class ChainStructure:
             frozenset(moved(j) for j in self.held if j != i),
         )
 
-    def made(self, data: Data, linear: Mapping[int, TransferFunction], functions: Functions) -> Parameters:
+    def made(
+        self, data: Data, linear: Mapping[int, TransferFunction], functions: Functions, *, scaled: bool = True
+    ) -> Parameters:
         """The parameters with these linear blocks, ranges after the signals, and functions for static blocks.
 
         A static block of which no function is said is the identity; the last one will be solved for. What
-        stands before a static block that is not held is scaled to a standard deviation of one.
+        stands before a static block that is not held is ``scaled`` to a standard deviation of one.
         """
         blocks: list[Block] = []
         structures: list[Structure] = []
@@ -87,7 +89,13 @@ class ChainStructure:
                 y = data.through(made, x)
                 is_before_static = i + 1 < len(self.blocks) and i + 1 in self.static
                 scale = float(np.std(y[data.counted]))
-                if i not in self.given and is_before_static and i + 1 not in self.given and scale > 0.0:
+                if (
+                    scaled
+                    and i not in self.given
+                    and is_before_static
+                    and i + 1 not in self.given
+                    and scale > 0.0
+                ):
                     made = replace(made, b=tuple(b / scale for b in made.b))
                     y = y / scale
                 structures.append(block)

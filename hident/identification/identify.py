@@ -1,0 +1,281 @@
+"""Structures and orders tried on a record, and one chosen by samples that were kept apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hident.arrays import Array
+from hident.block_chain import BlockChain
+from hident.errors import EstimationError
+from hident.estimators.prediction_error.block_specs import LinearBlock
+from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain
+from hident.estimators.prediction_error.criterion import Data, simulated
+from hident.estimators.prediction_error.prediction_error import PredictionError
+from hident.identification.candidates import FIRST_STATIC, STATIC, STRUCTURES, Orders, chain, orders_of
+from hident.identification.continuation import continued
+from hident.identification.delay import delay
+from hident.records import Record
+
+# Orders and functions are compared by fits to so many samples, those of linear models to fewer.
+_COMPARED, _LINEAR = 12000, 4000
+_LINEAR_STARTS, _HIGHEST = 2, 10
+# The share of each experiment that is kept apart where nothing else is.
+_KEPT_APART = 0.2
+# First samples that are not fitted: at most this many, and this share of an experiment.
+_MOST_INITIAL, _INITIAL_SHARE = 50, 20
+_BATCHES = 20
+_MOST_LINEAR, _MORE_LINEAR, _MANY = 4, 8, 5000
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A chain that was tried, and its fit; ``reason`` says why there is none.
+
+    ``estimation`` is the root mean squared error that was fitted, ``validation`` the squared errors (M,) of the
+    simulation of the samples kept apart.
+    """
+
+    structure: str
+    spec: PredictionError
+    count: int = 0
+    fit: ChainFit | None = None
+    estimation: float = np.inf
+    validation: Array = field(default_factory=lambda: np.zeros(0))
+    reason: str = ""
+
+    @property
+    def rms(self) -> float:
+        """The root mean squared error on the samples kept apart; infinite without a fit."""
+        return float(np.sqrt(np.mean(self.validation))) if len(self.validation) else np.inf
+
+    @property
+    def bic(self) -> float:
+        """Schwarz's criterion of the errors that were fitted."""
+        assert self.fit is not None
+        n = self.fit.point.data.count
+        return n * float(np.log(max(self.estimation, 1e-300) ** 2)) + self.count * float(np.log(n))
+
+    @property
+    def aic(self) -> float:
+        """Akaike's criterion of the errors that were fitted."""
+        assert self.fit is not None
+        n = self.fit.point.data.count
+        return n * float(np.log(max(self.estimation, 1e-300) ** 2)) + 2.0 * self.count
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """All that was tried, and what was chosen.
+
+    ``chosen`` is the trial with the fewest numbers among those whose mean squared error on the samples kept
+    apart is within one standard error of the least (of the difference, in batches); ``model_fit`` is its
+    fit to all samples, ``kept_apart`` says which samples the choice was made by.
+    """
+
+    trials: tuple[Trial, ...]
+    within: frozenset[int]
+    chosen: Trial
+    model_fit: ChainFit
+    kept_apart: str
+    n_init: int
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """What is fitted, and what is kept apart."""
+
+    estimation: Data
+    everything: Data
+    validated: Callable[[BlockChain], Array]
+    """The errors of a chain's simulation at the samples kept apart."""
+    said: str
+
+
+def split(record: Record, n_init: int | None) -> tuple[Split, int]:
+    """The validation record if there is one, else the last fifth of each experiment; and n_init."""
+    shortest = min(part.stop - part.start for part in record.experiments)
+    initial = min(_MOST_INITIAL, shortest // _INITIAL_SHARE) if n_init is None else n_init
+    everything = Data(record.u, record.y, record.experiments, "settled", initial)
+    if record.validation is not None:
+        kept = record.validation
+        data = Data(kept.u, kept.y, kept.experiments, "settled", initial)
+        return Split(
+            everything, everything, lambda model: _errors(model, data), "the validation record"
+        ), initial
+    firsts, lasts, place = [], [], 0
+    pieces: list[slice] = []
+    for part in record.experiments:
+        cut = part.start + round((part.stop - part.start) * (1.0 - _KEPT_APART))
+        firsts.append(slice(place, place + cut - part.start))
+        place += cut - part.start
+        pieces.append(slice(part.start, cut))
+        lasts.append(np.arange(cut, part.stop))
+    u, y = (np.concatenate([signal[piece] for piece in pieces]) for signal in (record.u, record.y))
+    tails = np.concatenate(lasts)
+
+    def validated(model: BlockChain) -> Array:
+        return (everything.y - simulated(everything, model))[tails]
+
+    experiments = " of each experiment" if len(firsts) > 1 else ""
+    said = f"the last fifth{experiments}"
+    return Split(Data(u, y, tuple(firsts), "settled", initial), everything, validated, said), initial
+
+
+def _errors(model: BlockChain, data: Data) -> Array:
+    return np.asarray((data.y - simulated(data, model))[data.counted])
+
+
+def identify(
+    record: Record,
+    structures: Sequence[str] = tuple(STRUCTURES),
+    *,
+    n_init: int | None = None,
+    tell: Callable[[Trial], None] = lambda trial: None,
+) -> Identification:
+    """Try structures on a record.
+
+    Parameters
+    ----------
+    record : Record
+        Measured or simulated; its ``validation`` is what the choice is made by, else the last fifth of each
+        of its experiments, simulated from the record's beginning.
+    structures : sequence of str
+        Names among :data:`hident.identification.candidates.STRUCTURES`.
+    n_init : int, optional
+        First samples of each experiment that are not fitted; by default 50, or a twentieth of the shortest.
+    tell : callable
+        Is given each trial when it is done.
+
+    Raises
+    ------
+    EstimationError
+        If nothing could be fitted.
+    """
+    parts, initial = split(record, n_init)
+    short = parts.estimation.busiest(_COMPARED)
+    trials: list[Trial] = []
+
+    def tried(trial: Trial) -> Trial:
+        trials.append(trial)
+        tell(trial)
+        return trial
+
+    nk = delay(parts.estimation)
+    highest = _MORE_LINEAR if len(short.u) >= _MANY else _MOST_LINEAR
+    few = short.busiest(_LINEAR)
+    linear = [
+        tried(_fitted("linear", spec, few, parts, _LINEAR_STARTS))
+        for n in range(1, highest + 1)
+        for spec in [chain("linear", orders_of("linear", n, nk), {}, n_init=initial)]
+    ]
+    n = 1 + next((i for i, one in enumerate(linear) if one is _simplest(linear)), 1)
+    for structure in structures:
+        if structure != "linear":
+            _grow(structure, n, nk, initial, short, parts, tried)
+    wanted = [one for one in trials if one.fit is not None and one.structure in structures]
+    if not wanted:
+        reasons = "; ".join(dict.fromkeys(one.reason for one in trials if one.reason))
+        raise EstimationError(f"nothing could be fitted: {reasons}")
+    chosen = _simplest(wanted)
+    assert chosen.fit is not None
+    if len(short.u) < len(parts.estimation.u):
+        fit = continued(chosen.spec.structure(), chosen.fit.point.parameters.chain, parts.estimation)
+        chosen = tried(_judged(chosen.structure, chosen.spec, fit, parts))
+        wanted = [*wanted, chosen]
+    model_fit = chosen.fit
+    assert model_fit is not None
+    if parts.everything is not parts.estimation:
+        again = continued(chosen.spec.structure(), model_fit.point.parameters.chain, parts.everything)
+        model_fit = replace(
+            again, starts=model_fit.starts, finalists=model_fit.finalists, agreeing=model_fit.agreeing
+        )
+    within = frozenset(i for i, one in enumerate(trials) if one in _near_the_best(wanted))
+    return Identification(tuple(trials), within, chosen, model_fit, parts.said, initial)
+
+
+def _grow(
+    structure: str,
+    n: int,
+    nk: int,
+    initial: int,
+    short: Data,
+    parts: Split,
+    tried: Callable[[Trial], Trial],
+) -> None:
+    """Orders around the linear ones with one static function, then other functions with the best of them."""
+    step = STRUCTURES[structure].count("L")
+    first: list[Trial] = []
+    seen = set()
+    waiting = [max(n - step, 1), n, n + step]
+    while waiting:
+        m = waiting.pop(0)
+        orders = orders_of(structure, m, nk)
+        if tuple(orders) in seen:
+            continue
+        seen.add(tuple(orders))
+        spec = chain(structure, orders, FIRST_STATIC, n_init=initial)
+        first.append(tried(_fitted(structure, spec, short, parts)))
+        # While the highest orders are the best, there may be better ones.
+        if not waiting and first[-1].rms <= min(one.rms for one in first) < np.inf and m + step <= _HIGHEST:
+            waiting.append(m + step)
+    found = [one for one in first if one.fit is not None]
+    for static in STATIC:
+        if found:
+            best = min(found, key=lambda one: one.rms)
+            assert best.fit is not None
+            spec = chain(structure, _orders(best.spec), static, n_init=initial)
+            tried(_gone_on(structure, spec, best.fit, short, parts))
+        elif static["kind"] != FIRST_STATIC["kind"]:
+            # An input of few levels may tell the numbers of simpler functions apart.
+            simpler = chain(structure, orders_of(structure, n, nk), static, n_init=initial)
+            tried(_fitted(structure, simpler, short, parts))
+
+
+def _orders(spec: PredictionError) -> Iterator[Orders]:
+    return (Orders(b.nb, b.nf, b.nk) for b in spec.blocks if isinstance(b, LinearBlock))
+
+
+def _fitted(structure: str, spec: PredictionError, data: Data, parts: Split, most_starts: int = 8) -> Trial:
+    try:
+        fit = fit_chain(spec.structure(), data, most_starts=most_starts)
+        return _judged(structure, spec, fit, parts)
+    except (EstimationError, np.linalg.LinAlgError) as error:
+        return Trial(structure, spec, reason=str(error))
+
+
+def _gone_on(structure: str, spec: PredictionError, fit: ChainFit, data: Data, parts: Split) -> Trial:
+    try:
+        return _judged(structure, spec, continued(spec.structure(), fit.point.parameters.chain, data), parts)
+    except (EstimationError, np.linalg.LinAlgError) as error:
+        return Trial(structure, spec, reason=str(error))
+
+
+def _judged(structure: str, spec: PredictionError, fit: ChainFit, parts: Split) -> Trial:
+    with np.errstate(all="ignore"):
+        errors = parts.validated(fit.point.parameters.chain)
+    if not np.all(np.isfinite(errors)):
+        return Trial(structure, spec, reason="the simulation of the samples kept apart is not finite")
+    estimation = float(np.sqrt(fit.point.loss / fit.point.data.count))
+    return Trial(structure, spec, fit.point.parameters.count(), fit, estimation, errors**2)
+
+
+def _near_the_best(trials: Sequence[Trial]) -> list[Trial]:
+    """The trials whose mean squared error is within one standard error of the least, paired, in batches."""
+    found = [one for one in trials if one.fit is not None]
+    best = min(found, key=lambda one: one.rms)
+    near = []
+    for one in found:
+        more = one.validation - best.validation
+        means = np.array([batch.mean() for batch in np.array_split(more, min(_BATCHES, len(more)))])
+        error = float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 1 else 0.0
+        if float(np.mean(more)) <= error:
+            near.append(one)
+    return near
+
+
+def _simplest(trials: Sequence[Trial]) -> Trial:
+    near = _near_the_best(trials)
+    return min(near, key=lambda one: (one.count, one.rms))
