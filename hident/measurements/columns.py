@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,10 @@ from hident.errors import ConfigError
 
 Column = str | int
 """The name of a column, or its number from 1."""
+
+
+_DIGITS = re.compile("[0-9]{1,9}")
+_SHOWN = 40
 
 
 def places(path: Path, wanted: Sequence[Column], names: Sequence[str], *, named: bool = True) -> list[int]:
@@ -35,20 +40,25 @@ def _place(path: Path, column: Column, names: Sequence[str], named: bool) -> int
     if isinstance(column, str) and known.count(column) == 1:
         return known.index(column)
     if isinstance(column, str) and known.count(column) > 1:
-        said = f"there is more than one column '{column}' (the file has: {one_of(names)})"
-    elif isinstance(column, int) or column.isdecimal():
+        said = f"there is more than one column '{column}' (the file has: {_some(names)})"
+    elif isinstance(column, int) or _DIGITS.fullmatch(column):
         if 1 <= int(column) <= len(names):
             return int(column) - 1
-        has = f": {one_of(names)}" if named and names else ""
+        has = f": {_some(names)}" if named and names else ""
         said = f"there is no column {column} (the file has {len(names)}{has})"
     elif named:
-        said = f"there is no column '{column}'{did_you_mean(column, names)} (the file has: {one_of(names)})"
+        said = f"there is no column '{column}'{did_you_mean(column, names)} (the file has: {_some(names)})"
     else:
         said = (
             f"there is no column '{column}': the file does not name its columns, so they go by number, "
             f"1 to {len(names)}"
         )
     raise ConfigError(f"{path}: {said}")
+
+
+def _some(names: Sequence[str]) -> str:
+    more = len(names) - _SHOWN
+    return f"{one_of(names[:_SHOWN])}, and {more} more" if more > 0 else one_of(names)
 
 
 def numbers(where: str, values: Any, *, blanks: bool = False) -> Array:
@@ -61,7 +71,7 @@ def numbers(where: str, values: Any, *, blanks: bool = False) -> Array:
     """
     values = np.asarray(values)
     column = values.reshape(-1) if values.ndim == 2 and 1 in values.shape else values
-    if column.ndim != 1 or column.dtype.kind not in "iuf":
+    if column.ndim != 1 or column.dtype.kind not in "iufb":
         raise ConfigError(
             f"{where}: must be an array of numbers of shape (N,), not {values.dtype} of {values.shape}"
         )

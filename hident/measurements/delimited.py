@@ -23,6 +23,7 @@ _SEPARATORS = ",;\t"
 _BLANK = " "
 _COMMENTS = ("#", "%")
 _QUOTED = re.compile('"[^"]*"')
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x19\x1b-\x1f]")
 _MISSING = {"", "nan", "na"}
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 
@@ -78,7 +79,7 @@ class _Table:
         """Refuse a first line of names that holds a number where a column is meant by its number."""
         for column, place in zip(wanted, asked, strict=True):
             name = self.names[place]
-            if self.named and _is_number(name) and str(column) != name:
+            if self.named and _is_number(name) and column != name:
                 other = next(cell for cell in self.names if cell and not _is_number(cell))
                 raise ConfigError(
                     f"{self.path}:{self.first}: holds numbers ('{name}') as well as what is none ('{other}')"
@@ -135,7 +136,7 @@ class _Table:
 
 
 def _text(raw: bytes) -> str:
-    if b"\0" in raw:
+    if _CONTROL.search(raw):
         raise NotText
     try:
         # Spreadsheets begin their files with a mark that is no part of the first name.
@@ -143,7 +144,7 @@ def _text(raw: bytes) -> str:
     except UnicodeDecodeError:
         # Older programs write names, with their units, in the letters of Western Europe.
         first, end, rest = raw.partition(b"\n")
-        return (first + end).decode("latin-1") + rest.decode("ascii")
+        return (first + end).decode("cp1252") + rest.decode("ascii")
 
 
 def _rows(lines: Sequence[str], separator: str) -> Iterator[tuple[int, list[str]]]:

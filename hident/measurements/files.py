@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -97,10 +98,12 @@ def _npz(path: Path, wanted: Sequence[Column], *, blanks: bool) -> list[Array]:
     with path.open("rb") as file:
         if not zipfile.is_zipfile(file):
             raise zipfile.BadZipFile
-    with np.load(path, allow_pickle=False) as arrays:
+        file.seek(0)
+        # What is wrong with a file, or a member, that was damaged or packed by others has many kinds.
         try:
-            return _of_arrays(path, wanted, arrays, blanks=blanks)
-        except ValueError:
+            with np.load(file, allow_pickle=False) as arrays:
+                return _of_arrays(path, wanted, arrays, blanks=blanks)
+        except (ValueError, RuntimeError, EOFError, zlib.error):
             raise ConfigError(f"{path}: holds what is no array of numbers") from None
 
 
@@ -127,10 +130,16 @@ def _parquet(path: Path, wanted: Sequence[Column], *, blanks: bool) -> list[Arra
         where = f"{path}: column '{name}'"
         if pa.types.is_decimal(column.type):
             column = column.cast(pa.float64())
-        if not (pa.types.is_integer(column.type) or pa.types.is_floating(column.type)):
+        if not (_is_numeric(column.type)):
             raise ConfigError(f"{where}: must hold numbers, not {column.type}")
         columns.append(numbers(where, column.to_numpy(), blanks=blanks))
     return columns
+
+
+def _is_numeric(kind: Any) -> bool:
+    from pyarrow import types
+
+    return bool(types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind))
 
 
 def _mat(path: Path, wanted: Sequence[Column], *, blanks: bool) -> list[Array]:

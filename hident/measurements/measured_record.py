@@ -10,6 +10,7 @@ from itertools import count
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, WithJsonSchema, field_validator
 
 from hident.arrays import Array
@@ -213,6 +214,10 @@ class MeasuredRecord(Spec):
         ConfigError
             If a file cannot be read, or its samples do not suit.
         """
+        with np.errstate(all="ignore"):
+            return self._read(folder)
+
+    def _read(self, folder: Path) -> Record:
         # A range for validation is of the same columns.
         columns = cache(partial(read_columns, blanks=self.gaps == "split"))
         experiments = self._experiments(folder, Selection(samples=self.estimation), columns)
@@ -264,6 +269,9 @@ class MeasuredRecord(Spec):
                 "output": selection.output or self.output,
             }
         )
+        for _, signal, output in chosen:
+            if str(signal) == str(output):
+                raise ConfigError(f"the input and the output are one column, '{signal}'")
         return [
             one
             for name, (file, *signals) in zip(_names(chosen), chosen, strict=True)
@@ -300,16 +308,15 @@ class MeasuredRecord(Spec):
         return (self.offset.input, self.offset.output) if self.offset else (0.0, 0.0)
 
     def _record(self, experiments: Sequence[Samples], offset: tuple[float, float]) -> Record:
-        prepared = []
-        for one in experiments:
-            level = without_line(one) if self.detrend == "linear" else less(one, *offset)
-            prepared.append(decimated(level, self.decimate))
         units = {name: unit for name, unit in self.units if unit}
         offsets = dict(zip(("input", "output"), offset, strict=True)) if any(offset) else {}
         try:
-            return record_of(prepared, units, offsets)
+            level = [
+                without_line(one) if self.detrend == "linear" else less(one, *offset) for one in experiments
+            ]
+            return record_of([decimated(one, self.decimate) for one in level], units, offsets)
         except ValueError as error:
-            raise ConfigError(str(error)) from None
+            raise ConfigError(f"{one_of(self.file)}: {error}") from None
 
 
 def _spread(lists: Mapping[str, Sequence[Any]]) -> list[tuple[Any, ...]]:

@@ -22,6 +22,8 @@ _RANGE = re.compile(r"(\d*)\.\.(\d*)")
 # An interval this many times the usual one is a hole in the times.
 _HOLE = 1.5
 _SAME = 1e-3
+# So many samples made of one are a slip of units.
+_FINEST = 1000
 # Half the length of the filter before decimation, in samples that are kept, as scipy's decimate has it.
 _HALF_LENGTH = 10
 
@@ -127,7 +129,12 @@ def at_even_times(samples: Samples, dt: float | None = None) -> Samples:
         i = int(back[0])
         raise ValueError(f"the times do not increase: {t[i + 1]:g} follows {t[i]:g} (sample {i + 2})")
     # The last sample counts, up to the rounding of its time.
-    count = int((t[-1] - t[0]) / dt * (1.0 + 1e-12)) + 1
+    steps = (t[-1] - t[0]) / dt * (1.0 + 1e-12)
+    if not 1.0 <= steps < _FINEST * len(t):
+        raise ValueError(
+            f"{len(t)} samples over a time of {t[-1] - t[0]:g} cannot be interpolated at intervals of {dt:g}"
+        )
+    count = int(steps) + 1
     even = t[0] + dt * np.arange(count)
     u, y = (np.interp(even, t, signal) for signal in (samples.u, samples.y))
     return replace(samples, u=u, y=y, t=None, dt=dt)
@@ -160,18 +167,25 @@ def decimated(samples: Samples, factor: int) -> Samples:
     stands before the system's nonlinearity too, with which it does not commute: decimate what was sampled
     much faster than it moves.
 
+    Raises
+    ------
+    ValueError
+        If there are no more samples than the filter is long.
+
     Examples
     --------
-    >>> ramp = np.arange(60.0)
+    >>> ramp = np.arange(90.0)
     >>> slow = decimated(Samples("", ramp, ramp, dt=0.1), 3)
     >>> len(slow), round(slow.dt, 3), bool(np.allclose(slow.u, ramp[::3]))
-    (20, 0.3, True)
+    (30, 0.3, True)
     """
     if factor == 1:
         return samples
+    if len(samples) <= (length := 2 * _HALF_LENGTH * factor + 1):
+        raise ValueError(f"decimation by {factor} needs more than {length} samples, not {len(samples)}")
     from scipy.signal import firwin, resample_poly
 
-    window = firwin(2 * _HALF_LENGTH * factor + 1, 1.0 / factor, window="hamming")
+    window = firwin(length, 1.0 / factor, window="hamming")
     u, y = (
         resample_poly(signal, 1, factor, window=window, padtype="line") for signal in (samples.u, samples.y)
     )
@@ -186,10 +200,12 @@ def record_of(
     Raises
     ------
     ValueError
-        If their intervals differ.
+        If their intervals differ, or a number is too large.
     """
     dt = experiments[0].dt
     u, y = (np.concatenate([getattr(one, name) for one in experiments]) for name in "uy")
+    if not (np.isfinite(u).all() and np.isfinite(y).all()):
+        raise ValueError("the numbers are too large to be prepared")
     parts: dict[str, Part] = {}
     if len(experiments) > 1:
         for one, place in zip(experiments, joined(map(len, experiments)), strict=True):
@@ -199,7 +215,7 @@ def record_of(
                     "'resample' brings them to one"
                 )
             step = 1.0 if dt is None else dt
-            held = Held(np.arange(len(one)) * float(step), one.u, float(one.u[0]))
+            held = Held(np.arange(len(one), dtype=float) * step, one.u, float(one.u[0]))
             parts[one.name] = Part(place.start, place.stop, step, held)
     u.flags.writeable = y.flags.writeable = False
     return Record(u, y, dt, parts=parts, units=units, offsets=offsets)
