@@ -77,7 +77,7 @@ def _values(signal: Signal) -> str:
 def _delay(look: FirstLook, record: Record) -> str:
     if look.delay is None:
         return "none is found: no correlation of the output with the input"
-    low, high, largest = look.delay.low, look.delay.high, look.delay.largest
+    low, high = look.delay.low, look.delay.high
     said = f"{low}" if low == high else f"{low} to {high}"
     if record.dt is not None:
         unit = record.units.get("time", "")
@@ -85,7 +85,7 @@ def _delay(look: FirstLook, record: Record) -> str:
         said = f"{said} samples ({' to '.join(seconds)} {unit}".rstrip() + ")"
     else:
         said += " samples"
-    return f"{said}, the largest response at {largest}; {look.delay.method}"
+    return f"{said}, by the {look.delay.method}"
 
 
 def _condition(value: float) -> str:

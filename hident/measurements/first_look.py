@@ -29,12 +29,12 @@ _LONGEST_AR = 30
 _LAGS_OF_DELAY = 200
 # The chance that a correlation of nothing is called one, over all lags together.
 _CHANCE = 0.01
-# A response below this share of the largest does not count as the system's first.
-_MATERIAL = 0.05
+# A correlation below this share of the largest one does not count as the first.
+_MATERIAL = 0.2
 # Correlations with later inputs that are this share of those with earlier ones.
 _AHEAD = 0.5
-# Standard deviations from the samples around, by the median of all such distances.
-_OUTLYING = 10.0
+# Times the distance from the samples around that one in a hundred exceeds.
+_OUTLYING = 4.0
 _AROUND = 7
 # Shares of the range and of the samples, for what stands at an end of the range.
 _EDGE = 0.005
@@ -66,21 +66,20 @@ class Signal:
 
 @dataclass(frozen=True)
 class Delay:
-    """The delay in samples by the cross-correlation with the input, both prewhitened.
+    """The delay in samples by the cross-correlation of input and output, both prewhitened.
 
-    At a lag below ``low`` the response is less than 5 % of the largest one, at ``high`` there is one, each at
-    99 % over all lags. ``largest`` is the lag of the largest response.
+    At a lag below ``low`` the correlation is less than a fifth of the largest one, at ``high`` there is one,
+    each at 99 % over all lags. The filters are causal: the first lag with a correlation stays the first.
     """
 
     low: int
     high: int
-    largest: int
     method: str
 
 
 @dataclass(frozen=True, eq=False)
 class Correlation:
-    """Cross-correlations r(k) of y(t) with what drives it at t - k, both behind the filter that whitens that.
+    """Cross-correlations r(k) of the output at t with the input at t - k, each whitened by its own filter.
 
     ``lags`` and ``values`` have the shape (K,); ``bound`` is what noise exceeds at no lag, at 99 %.
     ``innovations`` is how many samples of equal size would be as many as the whitened input has: few, if it
@@ -209,12 +208,11 @@ def _outliers(x: Array, parts: Parts) -> tuple[int, ...]:
     moving = away[away > 0.0]
     if len(moving) < len(x) / 4:
         return ()
-    # 1.4826 times the median of distances is the standard deviation of normal ones.
-    return tuple((1 + np.flatnonzero(away > _OUTLYING * 1.4826 * np.median(moving))).tolist())
+    return tuple((1 + np.flatnonzero(away > _OUTLYING * np.quantile(moving, 0.99))).tolist())
 
 
 def _correlation(u: Array, y: Array, parts: Parts) -> Correlation | None:
-    """The prewhitened correlation of y with u; with the square of u if there is none."""
+    """The correlation of y with u; with the square of u if there is none."""
     parts = longer_than(parts, 20)
     if not parts or not np.std(y) > 0.0 or not np.std(u) > 0.0:
         return None
@@ -227,37 +225,35 @@ def _correlation(u: Array, y: Array, parts: Parts) -> Correlation | None:
 
 
 def _prewhitened(x: Array, y: Array, parts: Parts, what: str) -> Correlation | None:
-    """Box and Jenkins: what an autoregression leaves of x, against y behind the same filter."""
-    from scipy.signal import correlate, lfilter
+    """Haugh's: what its own autoregression leaves of y, against what another one leaves of x."""
+    from scipy.signal import correlate
     from scipy.stats import norm
 
-    n = sum(part.stop - part.start for part in parts)
     shortest = min(part.stop - part.start for part in parts)
-    x, y = x - np.mean(x), y - np.mean(y)
-    a = _autoregression(x, parts, min(_LONGEST_AR, shortest // 10))
-    p = len(a) - 1
-    white, seen = ([lfilter(a, 1.0, signal[part])[p:] for part in parts] for signal in (x, y))
-    last = min(_LAGS_OF_DELAY, (shortest - p) // 4)
+    most = min(_LONGEST_AR, shortest // 10)
+    driving, p = _whitened(x - np.mean(x), parts, most)
+    driven, q = _whitened(y - np.mean(y), parts, most)
+    last = min(_LAGS_OF_DELAY, (shortest - most) // 4)
     sums = np.zeros(2 * last + 1)
-    squares = np.zeros(2)
-    for driven, driving in zip(seen, white, strict=True):
-        full = correlate(driven, driving, "full", "fft" if len(driven) > 500 else "direct")
-        middle = len(driving) - 1
-        sums += full[middle - last : middle + last + 1]
-        squares += np.sum(np.square(driven)), np.sum(np.square(driving))
-    if not np.prod(squares) > 0.0:
+    for a, b in zip(driving, driven, strict=True):
+        full = correlate(b, a, "full", "fft" if len(a) > 500 else "direct")
+        sums += full[len(a) - 1 - last : len(a) + last]
+    inputs, outputs = np.concatenate(driving), np.concatenate(driven)
+    size = math.sqrt(float(inputs @ inputs)) * math.sqrt(float(outputs @ outputs))
+    if not size > 0.0:
         return None
-    tests = 2 * last + 1
-    fourth = sum(float(np.sum(driving**4)) for driving in white)
-    bound = float(norm.isf(_CHANCE / (2 * tests)) / math.sqrt(n - p * len(parts)))
-    method = f"cross-correlation with the {what}, prewhitened by an autoregression of order {p}"
-    return Correlation(
-        np.arange(-last, last + 1),
-        sums / np.sqrt(np.prod(squares)),
-        bound,
-        float(squares[1]) ** 2 / fourth,
-        method,
-    )
+    bound = float(norm.isf(_CHANCE / 2 / (2 * last + 1))) / math.sqrt(len(inputs))
+    innovations = float(inputs @ inputs) ** 2 / float(np.sum(inputs**4))
+    method = f"cross-correlation with the {what}, prewhitened by autoregressions of orders {p} and {q}"
+    return Correlation(np.arange(-last, last + 1), sums / size, bound, innovations, method)
+
+
+def _whitened(x: Array, parts: Parts, most: int) -> tuple[list[Array], int]:
+    """The prediction errors in each part, of one autoregression, and its order."""
+    from scipy.signal import lfilter
+
+    a = _autoregression(x, parts, most)
+    return [lfilter(a, 1.0, x[part])[most:] for part in parts], len(a) - 1
 
 
 def _autoregression(x: Array, parts: Parts, most: int) -> Array:
@@ -295,7 +291,7 @@ def _delay(found: Correlation) -> Delay | None:
     if found.bound < _MATERIAL * np.max(size):
         # Where the bound is small, what is surely there may still be too small to count.
         high = max(high, int(np.flatnonzero(size - found.bound >= _MATERIAL * np.max(size))[0]))
-    return Delay(low, max(low, high), int(np.argmax(size)), found.method)
+    return Delay(low, max(low, high), found.method)
 
 
 def _excitation(u: Array, parts: Parts) -> Excitation:
@@ -305,8 +301,10 @@ def _excitation(u: Array, parts: Parts) -> Excitation:
     basis = np.asarray(legvander(u, max(DEGREES))[:, 1:], dtype=float)
     for j, lags in enumerate(LAGS):
         rows = _lagged(basis, longer_than(parts, lags), lags)
+        if not len(rows):
+            continue
         columns = rows.reshape(len(rows), -1) - rows.mean(axis=0).reshape(-1)
-        products = (columns.T @ columns / max(1, len(rows))).reshape((lags, max(DEGREES)) * 2)
+        products = (columns.T @ columns / len(rows)).reshape((lags, max(DEGREES)) * 2)
         for i, degree in enumerate(DEGREES):
             if len(rows) > degree * lags:
                 chosen = products[:, :degree, :, :degree].reshape(degree * lags, degree * lags)

@@ -9,7 +9,7 @@ import numpy as np
 from hident.arrays import Array
 from hident.measurements.first_look import FirstLook
 from hident.records import Record
-from hident.reports.style import LINES, TRUE_LEVEL, subplots
+from hident.reports.style import LINES, TRUE_LEVEL, legend_above, subplots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,7 +56,9 @@ def _signals(record: Record) -> Figure:
 def _histograms(record: Record) -> Figure:
     figure, panels = subplots(1, 2, figsize=(6.4, 2.8))
     for axes, name, signal in zip(panels, ("input", "output"), (record.u, record.y), strict=True):
-        axes.hist(signal, bins=min(_BINS, max(1, len(np.unique(signal)))), color=LINES[0]["color"])
+        # Halves of large numbers have a difference.
+        heights, edges = np.histogram(signal / 2, bins=min(_BINS, max(1, len(np.unique(signal)))))
+        axes.stairs(heights, 2 * edges, fill=True, color=LINES[0]["color"])
         axes.set_xlabel(_named(record, name))
         axes.set_ylabel("samples")
     return figure
@@ -96,14 +98,13 @@ def _correlation(record: Record, look: FirstLook) -> Figure:
     axes.vlines(found.lags, 0.0, found.values, color=LINES[0]["color"], linewidth=1.0)
     axes.axhspan(-found.bound, found.bound, color="0.85", zorder=0, label="none, at 99 %")
     if look.delay is not None:
-        label = f"delay: {look.delay.low} to {look.delay.high}"
-        axes.axvspan(
-            look.delay.low - 0.5, look.delay.high + 0.5, color=LINES[1]["color"], alpha=0.25, label=label
-        )
+        low, high = look.delay.low, look.delay.high
+        label = f"delay: {low}" if low == high else f"delay: {low} to {high}"
+        axes.axvspan(low - 0.5, high + 0.5, color=LINES[1]["color"], alpha=0.25, label=label)
     # The far lags are there for the bound; what matters is near.
-    near = min(int(found.lags[-1]), max(30, 0 if look.delay is None else 3 * look.delay.largest))
+    near = min(int(found.lags[-1]), max(30, 0 if look.delay is None else 3 * look.delay.high))
     axes.set_xlim(-near / 3, near)
     axes.set_xlabel("lag of the output behind the input (samples)")
     axes.set_ylabel("correlation")
-    axes.legend(loc="upper right")
+    legend_above(figure)
     return figure
