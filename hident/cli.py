@@ -459,7 +459,7 @@ def show(
     """
     from hident.commands.looking import show
 
-    show(
+    code = show(
         files,
         out,
         input=input_,
@@ -473,6 +473,7 @@ def show(
         decimate=decimate,
         gaps=gaps,
     )
+    raise typer.Exit(code)
 
 
 @app.command()

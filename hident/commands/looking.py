@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 from hident.commands.measured import record_of
 from hident.commands.showing import print_columns
 from hident.config.suggest import one_of
-from hident.errors import ConfigError, StoreError
+from hident.errors import ConfigError, Exit, StoreError
 from hident.measurements.files import SUFFIXES
 from hident.measurements.first_look import CONDITION, FEW, FirstLook, Signal, first_look
 from hident.records import Record
@@ -20,7 +21,7 @@ from hident.records import Record
 _WIDTH = 110
 
 
-def show(files: Sequence[Path], out: Path | None, **options: Any) -> None:
+def show(files: Sequence[Path], out: Path | None, **options: Any) -> Exit:
     """Print what the files hold, and write its figures to the folder ``out`` if there is one.
 
     Raises
@@ -29,20 +30,18 @@ def show(files: Sequence[Path], out: Path | None, **options: Any) -> None:
         If the files cannot be shown.
     """
     if all(file.suffix.lower() in SUFFIXES or file.is_dir() for file in files):
-        _show_record(files, out, options)
-        return
+        return _show_record(files, out, options)
     other = next(file for file in files if file.suffix.lower() not in SUFFIXES)
     raise ConfigError(f"{other}: cannot be shown: the name must end in {one_of(SUFFIXES)}")
 
 
-def _show_record(files: Sequence[Path], out: Path | None, options: dict[str, Any]) -> None:
+def _show_record(files: Sequence[Path], out: Path | None, options: dict[str, Any]) -> Exit:
     spec = record_of(files, **options)
     record = spec.read(Path())
     for part, title in ((record, one_of(map(str, files))), (record.validation, "for validation")):
         if part is not None:
             _print_look(part, first_look(part), title)
-    if out is not None:
-        _write_figures(record, out)
+    return Exit.FINE if out is None else _write_figures(record, out)
 
 
 def _print_look(record: Record, look: FirstLook, title: str) -> None:
@@ -94,18 +93,27 @@ def _condition(value: float) -> str:
     return f"{value:.3g}{' (bad)' if value > CONDITION else ''}"
 
 
-def _write_figures(record: Record, out: Path) -> None:
+def _write_figures(record: Record, out: Path) -> Exit:
     from hident.reports.first_look import figures
     from hident.reports.style import style, typeset
 
+    code = Exit.FINE
     try:
         out.mkdir(parents=True, exist_ok=True)
         with style():
-            for name, figure in figures(record, first_look(record)).items():
-                typeset(figure)
-                temporary = out / f".{name}.png.part"
-                figure.savefig(temporary, format="png", metadata={"Software": None})
-                temporary.replace(out / f"{name}.png")
-                print(out / f"{name}.png")
+            for name, draw in figures(record, first_look(record)).items():
+                temporary, file = out / f".{name}.png.part", out / f"{name}.png"
+                try:
+                    figure = draw()
+                    typeset(figure)
+                    figure.savefig(temporary, format="png", metadata={"Software": None})
+                except (ValueError, ArithmeticError) as error:
+                    temporary.unlink(missing_ok=True)
+                    print(f"warning: {file} cannot be drawn ({error})", file=sys.stderr)
+                    code = Exit.DIFFERS
+                    continue
+                temporary.replace(file)
+                print(file)
     except OSError as error:
         raise StoreError(f"{out} cannot be written: {(error.strerror or str(error)).lower()}") from None
+    return code

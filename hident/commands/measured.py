@@ -11,7 +11,6 @@ from hident.measurements.measured_record import MeasuredRecord
 
 _OPTIONS = {"estimation": "estimate", "validation": "validate"}
 """The options that are not named as the fields of a record are."""
-_FIELDS = frozenset(MeasuredRecord.model_fields)
 
 
 def record_of(files: Sequence[Path], **options: Any) -> MeasuredRecord:
@@ -40,7 +39,15 @@ def _listed(columns: str) -> list[str]:
 
 
 def _by_option(message: str) -> str:
-    """The message with the name of the option in the place of the field's."""
+    """The message about a field as one about its option."""
     name, colon, rest = message.removeprefix(f"{MeasuredRecord.__name__}: ").partition(":")
     field = name.partition(".")[0].partition("[")[0]
-    return f"--{_OPTIONS.get(field, field)}{colon}{rest}" if field in _FIELDS else message
+    if field not in MeasuredRecord.model_fields:
+        return message
+    for other in ("dt", "time", "estimation", "detrend"):
+        rest = rest.replace(f"'{other}'", _option(other))
+    return f"{_option(field)}{colon}{rest}"
+
+
+def _option(field: str) -> str:
+    return f"--{_OPTIONS.get(field, field)}"

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hident.arrays import Array
-from hident.measurements.first_look import FirstLook
+from hident.measurements.first_look import Correlation, Delay, FirstLook
 from hident.records import Record
 from hident.reports.style import LINES, TRUE_LEVEL, legend_above, subplots
 
@@ -21,10 +24,18 @@ _LINE = {**LINES[0], "marker": ""}
 _PIECE = 1024
 
 
-def figures(record: Record, look: FirstLook) -> dict[str, Figure]:
-    """Every figure by its name; to be called, and saved, inside :func:`hident.reports.style.style`."""
-    drawn = {"signals": _signals(record), "histogram": _histograms(record), "spectrum": _spectra(record)}
-    return drawn if look.correlation is None else {**drawn, "correlation": _correlation(record, look)}
+def figures(record: Record, look: FirstLook) -> dict[str, Callable[[], Figure]]:
+    """What draws each figure, by its name, inside :func:`hident.reports.style.style`.
+
+    ValueError or ArithmeticError, when it is drawn or saved, of numbers that matplotlib cannot draw.
+    """
+    known: dict[str, Callable[[], Figure]] = {
+        "signals": partial(_signals, record),
+        "histogram": partial(_histograms, record),
+        "spectrum": partial(_spectra, record),
+    }
+    found = look.correlation
+    return known if found is None else {**known, "correlation": partial(_correlation, found, look.delay)}
 
 
 def _named(record: Record, signal: str) -> str:
@@ -56,12 +67,22 @@ def _signals(record: Record) -> Figure:
 def _histograms(record: Record) -> Figure:
     figure, panels = subplots(1, 2, figsize=(6.4, 2.8))
     for axes, name, signal in zip(panels, ("input", "output"), (record.u, record.y), strict=True):
-        # Halves of large numbers have a difference.
-        heights, edges = np.histogram(signal / 2, bins=min(_BINS, max(1, len(np.unique(signal)))))
-        axes.stairs(heights, 2 * edges, fill=True, color=LINES[0]["color"])
+        heights, edges = _histogram(signal)
+        axes.stairs(heights, edges, fill=True, color=LINES[0]["color"])
         axes.set_xlabel(_named(record, name))
         axes.set_ylabel("samples")
     return figure
+
+
+def _histogram(signal: Array) -> tuple[NDArray[np.int64], Array]:
+    """Counts in bins of one width, and the bins' edges; a constant signal has one bin."""
+    low, high = float(np.min(signal)), float(np.max(signal))
+    middle, half = low / 2 + high / 2, high / 2 - low / 2
+    if half == 0.0:
+        return np.array([len(signal)]), middle + np.array([-0.5, 0.5]) * (abs(middle) / 100 or 1.0)
+    bins = min(_BINS, len(np.unique(signal)))
+    heights, edges = np.histogram((signal - middle) / half, bins=bins, range=(-1.0, 1.0))
+    return heights, middle + half * edges
 
 
 def _spectra(record: Record) -> Figure:
@@ -91,18 +112,16 @@ def _spectrum(axes: Axes, record: Record, signal: Array) -> None:
     axes.plot(frequency[there], 10.0 * np.log10(power[there]), **_LINE)
 
 
-def _correlation(record: Record, look: FirstLook) -> Figure:
-    found = look.correlation
-    assert found is not None
+def _correlation(found: Correlation, delay: Delay | None) -> Figure:
     figure, axes = subplots(figsize=(6.4, 2.8))
     axes.vlines(found.lags, 0.0, found.values, color=LINES[0]["color"], linewidth=1.0)
     axes.axhspan(-found.bound, found.bound, color="0.85", zorder=0, label="none, at 99 %")
-    if look.delay is not None:
-        low, high = look.delay.low, look.delay.high
+    if delay is not None:
+        low, high = delay.low, delay.high
         label = f"delay: {low}" if low == high else f"delay: {low} to {high}"
         axes.axvspan(low - 0.5, high + 0.5, color=LINES[1]["color"], alpha=0.25, label=label)
     # The far lags are there for the bound; what matters is near.
-    near = min(int(found.lags[-1]), max(30, 0 if look.delay is None else 3 * look.delay.high))
+    near = min(int(found.lags[-1]), max(30, 0 if delay is None else 3 * delay.high))
     axes.set_xlim(-near / 3, near)
     axes.set_xlabel("lag of the output behind the input (samples)")
     axes.set_ylabel("correlation")

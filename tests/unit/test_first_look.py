@@ -106,7 +106,9 @@ def test_experiments_are_not_mixed():
     u, y = simulated(n=600)
     both = of_two(np.concatenate([u, u]), np.concatenate([y, y]), 600)
     one, two = look(u, y), first_look(both)
-    assert (two.experiments, two.delay.low, two.delay.high) == (2, one.delay.low, one.delay.high)
+    assert one.correlation
+    assert two.correlation
+    assert (two.experiments, two.delay) == (2, one.delay)
     np.testing.assert_allclose(
         two.correlation.values[two.correlation.lags == 2],
         one.correlation.values[one.correlation.lags == 2],
@@ -249,7 +251,7 @@ def test_units_change_no_finding(scale, shift, sign):
 
 
 @pytest.mark.parametrize("n", range(1, 45))
-def test_very_short_and_very_large_records_are_looked_at_and_drawn(n):
+def test_very_short_and_very_large_records_are_looked_at(n):
     u, y = simulated(n=n)
     for factor in (1.0, 1.7e308 / max(np.abs(u).max(), np.abs(y).max())):
         record = Record(factor * u, factor * y, 0.5)
@@ -257,7 +259,9 @@ def test_very_short_and_very_large_records_are_looked_at_and_drawn(n):
         assert np.isfinite([found.input.mean, found.output.std]).all()
         if n % 11 == 0:
             with style(), np.errstate(all="ignore"):
-                assert len(figures(record, found)) >= 3
+                assert {"signals", "histogram", "spectrum"} <= figures(record, found).keys()
+                if factor == 1.0:
+                    assert all(draw().axes for draw in figures(record, found).values())
 
 
 # Public records

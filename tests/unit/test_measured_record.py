@@ -209,6 +209,7 @@ def test_read_takes_what_a_configuration_says(folder):
         validation="51..",
         units={"input": "V"},
     )
+    assert record.validation is not None
     assert (len(record), len(record.validation), record.units) == (50, 50, {"input": "V"})
     assert len(hi.read([folder / "valve.csv", folder / "other.csv"], input="u1", output="y1").parts) == 2
 

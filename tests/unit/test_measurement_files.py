@@ -99,10 +99,10 @@ def test_the_quick_reader_finds_what_the_careful_pass_finds(tmp_path):
             for mark in ("", '\n"1";2;3'):
                 path = written(tmp_path, f"{first}\n{text}{mark}\n")
                 try:
-                    got = [column.tolist()[:2] for column in read_columns(path, ["a", "c"], blanks=blanks)]
+                    read = read_columns(path, ["a", "c"], blanks=blanks)
+                    found.append(repr([column.tolist()[:2] for column in read]))
                 except ConfigError as error:
-                    got = str(error)
-                found.append(repr(got))
+                    found.append(str(error))
         assert len(set(found)) == 1, (text, found)
 
 
