@@ -69,7 +69,7 @@ class Delay:
     """The delay in samples by the cross-correlation of input and output, both prewhitened.
 
     At a lag below ``low`` the correlation is less than a fifth of the largest one, at ``high`` there is one,
-    each at 99 % over all lags. The filters are causal: the first lag with a correlation stays the first.
+    each at 99 % over the lags in question. The filters are causal: what is the first lag stays the first.
     """
 
     low: int
@@ -227,7 +227,6 @@ def _correlation(u: Array, y: Array, parts: Parts) -> Correlation | None:
 def _prewhitened(x: Array, y: Array, parts: Parts, what: str) -> Correlation | None:
     """Haugh's: what its own autoregression leaves of y, against what another one leaves of x."""
     from scipy.signal import correlate
-    from scipy.stats import norm
 
     shortest = min(part.stop - part.start for part in parts)
     most = min(_LONGEST_AR, shortest // 10)
@@ -242,7 +241,7 @@ def _prewhitened(x: Array, y: Array, parts: Parts, what: str) -> Correlation | N
     size = math.sqrt(float(inputs @ inputs)) * math.sqrt(float(outputs @ outputs))
     if not size > 0.0:
         return None
-    bound = float(norm.isf(_CHANCE / 2 / (2 * last + 1))) / math.sqrt(len(inputs))
+    bound = _normal(2 * last + 1) / math.sqrt(len(inputs))
     innovations = float(inputs @ inputs) ** 2 / float(np.sum(inputs**4))
     method = f"cross-correlation with the {what}, prewhitened by autoregressions of orders {p} and {q}"
     return Correlation(np.arange(-last, last + 1), sums / size, bound, innovations, method)
@@ -276,6 +275,13 @@ def _autoregression(x: Array, parts: Parts, most: int) -> Array:
     return chosen
 
 
+def _normal(tests: int) -> float:
+    """What none of so many standard normal numbers exceeds in size, but by the chance of 1 %."""
+    from scipy.special import ndtri
+
+    return float(-ndtri(_CHANCE / 2 / tests))
+
+
 def _first(found: Correlation) -> int | None:
     """The first lag from 0 with a correlation."""
     there = np.flatnonzero((found.lags >= 0) & (np.abs(found.values) > found.bound))
@@ -287,7 +293,9 @@ def _delay(found: Correlation) -> Delay | None:
     if high is None:
         return None
     size = np.abs(found.values[found.lags >= 0])
-    low = int(np.flatnonzero(size + found.bound >= _MATERIAL * np.max(size))[0])
+    # Only the lags up to that one are in question.
+    narrower = found.bound * _normal(high + 1) / _normal(len(found.lags))
+    low = int(np.flatnonzero(size + narrower >= _MATERIAL * np.max(size))[0])
     if found.bound < _MATERIAL * np.max(size):
         # Where the bound is small, what is surely there may still be too small to count.
         high = max(high, int(np.flatnonzero(size - found.bound >= _MATERIAL * np.max(size))[0]))

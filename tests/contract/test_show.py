@@ -1,9 +1,15 @@
 """hident show: what is printed and written of a measured record, and what is said of bad input."""
 
+import re
+from typing import Any
+
 import numpy as np
 import pytest
+import yaml
 from scipy.signal import lfilter
 
+from hident.measurements.measured_record import MeasuredRecord
+from tests.documented import ROOT
 from tests.forked import run_forked
 from tests.shared_data import measured
 
@@ -169,3 +175,22 @@ def test_public_records_take_one_command(tmp_path, command):
     file, *options = command.split()
     ended = show(tmp_path, str(measured(file)), *options)
     assert (ended.returncode, ended.stderr) == (0, "")
+
+
+def test_the_documented_section_runs(tmp_path, monkeypatch):
+    """docs/measurements.md, Reading a record: its commands, its code and its configuration."""
+    page = (ROOT / "docs/measurements.md").read_text(encoding="utf-8")
+    section = re.search(r"## Reading a record\n(.*?)(?=\n## |\Z)", page, re.DOTALL)
+    assert section
+    code = dict(re.findall(r"```(sh|python|yaml)\n(.*?)```", section[1], re.DOTALL))
+    monkeypatch.chdir(tmp_path)
+    rows = np.column_stack([0.5 * np.arange(1000), U, Y, U[::-1], Y[::-1]])
+    np.savetxt("tanks.csv", rows, delimiter=",", header="t,uEst,yEst,uVal,yVal", comments="")
+    np.savetxt("heating.dat", rows[:, :3])
+    for command in code["sh"].splitlines():
+        ended = run_forked(command.split()[1:], tmp_path)
+        assert (ended.returncode, ended.stderr) == (0, "")
+    space: dict[str, Any] = {}
+    exec(code["python"], space)
+    record = MeasuredRecord(**yaml.safe_load(code["yaml"])["record"]).read(tmp_path)
+    np.testing.assert_array_equal(record.y, space["record"].y - record.offsets["output"])
