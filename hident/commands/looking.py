@@ -14,8 +14,10 @@ from hident.commands.measured import record_of
 from hident.commands.showing import print_columns
 from hident.config.suggest import one_of
 from hident.errors import ConfigError, Exit, StoreError
+from hident.measurements.excitation import CONDITION
 from hident.measurements.files import SUFFIXES
-from hident.measurements.first_look import CONDITION, FEW, FirstLook, Signal, first_look
+from hident.measurements.first_look import FirstLook, first_look
+from hident.measurements.signal_values import FEW, Signal
 from hident.records import Record
 
 _WIDTH = 110

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cache, partial
 from itertools import count
 from pathlib import Path
@@ -235,8 +236,7 @@ class MeasuredRecord(Spec):
                 f"the samples for validation are {validation.dt:g} apart, and those to estimate from "
                 f"{record.dt:g}: 'resample' brings them to one interval"
             )
-        object.__setattr__(record, "validation", validation)
-        return record
+        return replace(record, validation=validation)
 
     def digest(self, folder: Path) -> str:
         """SHA-256 of the file's bytes, hexadecimal; of several files, that of their digests in a row.

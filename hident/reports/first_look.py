@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hident.arrays import Array
-from hident.measurements.first_look import Correlation, Delay, FirstLook
+from hident.measurements.delay import Correlation, Delay
+from hident.measurements.first_look import FirstLook
 from hident.records import Record
 from hident.reports.style import LINES, TRUE_LEVEL, legend_above, subplots
 
@@ -101,12 +102,14 @@ def _spectrum(axes: Axes, record: Record, signal: Array) -> None:
     from scipy.signal import welch
 
     lengths = [part.stop - part.start for part in record.experiments]
-    piece = min(_PIECE, *lengths, len(signal))
+    piece = min(_PIECE, max(lengths))
     if piece < 8:
         return
     power = np.zeros(piece // 2 + 1)
     for part, length in zip(record.experiments, lengths, strict=True):
-        frequency, density = welch(signal[part] - np.mean(signal), fs=1.0 / _step(record), nperseg=piece)
+        frequency, density = welch(
+            signal[part] - np.mean(signal), fs=1.0 / _step(record), nperseg=min(piece, length), nfft=piece
+        )
         power += length / len(signal) * density
     there = power > 0.0
     axes.plot(frequency[there], 10.0 * np.log10(power[there]), **_LINE)

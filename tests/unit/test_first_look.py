@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from hident.measurements.first_look import CONDITION, first_look
+from hident.measurements.excitation import CONDITION
+from hident.measurements.first_look import first_look
 from hident.records import Held, Part, Record
 from hident.reports.first_look import figures
 from hident.reports.style import style
@@ -115,6 +116,17 @@ def test_experiments_are_not_mixed():
         atol=0.01,
     )
     np.testing.assert_allclose(two.excitation.condition, one.excitation.condition, rtol=1e-6)
+
+
+def test_a_short_experiment_takes_no_lags_from_a_long_one():
+    u, y = simulated(delay=9)
+    one, two = look(u, y), first_look(of_two(u, y, 970))
+    assert one.correlation
+    assert two.correlation
+    assert (two.delay, len(two.correlation.lags)) == (one.delay, len(one.correlation.lags))
+    with style():
+        spectrum = figures(of_two(u, y, 970), two)["spectrum"]()
+    assert len(np.asarray(spectrum.axes[0].lines[0].get_xdata())) > 400
 
 
 # The excitation
