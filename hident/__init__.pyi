@@ -47,7 +47,8 @@ from hident.estimators.voros.voros_hammerstein import VorosHammerstein as VorosH
 from hident.estimators.voros.voros_wiener import VorosWiener as VorosWiener
 from hident.linear_blocks import ContinuousTransferFunction as ContinuousTransferFunction
 from hident.linear_blocks import TransferFunction as TransferFunction
-from hident.measured import read as read
+from hident.measurements.first_look import first_look as first_look
+from hident.measurements.measured_record import MeasuredRecord as MeasuredRecord, read as read
 from hident.metrics.disturbance import DisturbanceVariance as DisturbanceVariance
 from hident.metrics.disturbance import DisturbanceVarianceFormula as DisturbanceVarianceFormula
 from hident.metrics.frequency import GainShapeError as GainShapeError, MovedDelay as MovedDelay

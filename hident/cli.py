@@ -89,6 +89,41 @@ Log = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Append a line of JSON for each chunk of trials and each fault."),
 ]
+Samples = Annotated[
+    list[Path],
+    typer.Argument(help="A file of samples (CSV, Parquet, MAT, NPZ, HDF5, ...), or one for each experiment."),
+]
+InputColumn = Annotated[
+    str | None,
+    typer.Option("--input", metavar="COLUMN", help="Name or number of the input's column; A,B: experiments."),
+]
+OutputColumn = Annotated[
+    str | None, typer.Option("--output", metavar="COLUMN", help="Name or number of the output's column.")
+]
+Dt = Annotated[
+    str | None, typer.Option("--dt", metavar="DT", help="Sampling interval; a formula such as 1/51200 too.")
+]
+Time = Annotated[
+    str | None, typer.Option(metavar="COLUMN", help="The column of the sampling times, in place of --dt.")
+]
+Estimate = Annotated[
+    str | None, typer.Option(metavar="FIRST..LAST", help="Samples to estimate from, counted from 1.")
+]
+Validate = Annotated[
+    str | None,
+    typer.Option(metavar="WHAT", help="For validation: FIRST..LAST, two columns INPUT,OUTPUT, or a file."),
+]
+Detrend = Annotated[str | None, typer.Option(metavar="mean|linear", help="Take off the means, or a line.")]
+Resample = Annotated[
+    str | None, typer.Option(metavar="DT", help="Interpolate uneven times at an interval, along lines.")
+]
+Decimate = Annotated[
+    int | None, typer.Option(metavar="FACTOR", help="Keep every so many-th sample, behind a filter.")
+]
+Gaps = Annotated[
+    str | None,
+    typer.Option(metavar="error|split", help="A missing sample is an error (the default), or a part's end."),
+]
 _STORE, _OUT, _RESULTS = Path(".hident"), Path("out"), Path("results")
 
 
@@ -401,6 +436,44 @@ def export(
 
     [plan] = _plans([config], assignments, trials, seed, plugin)
     print(export(plan, store, file))
+
+
+@app.command()
+def show(
+    files: Samples,
+    input_: InputColumn = None,
+    output: OutputColumn = None,
+    dt: Dt = None,
+    time: Time = None,
+    estimate: Estimate = None,
+    validate: Validate = None,
+    detrend: Detrend = None,
+    resample: Resample = None,
+    decimate: Decimate = None,
+    gaps: Gaps = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write the figures to.")] = None,
+) -> None:
+    """Show what a measured record is like, and what is wrong with it.
+
+    Signals, delay, and which nonlinearities the input can excite; figures with --out.
+    """
+    from hident.commands.looking import show
+
+    code = show(
+        files,
+        out,
+        input=input_,
+        output=output,
+        dt=dt,
+        time=time,
+        estimation=estimate,
+        validation=validate,
+        detrend=detrend,
+        resample=resample,
+        decimate=decimate,
+        gaps=gaps,
+    )
+    raise typer.Exit(code)
 
 
 @app.command()

@@ -128,7 +128,9 @@ class Record:
 
     ``parts`` are the experiments by name, one after the other, where several were made, where one has a
     sampling interval of its own, or where it matters what the input is between its samples. ``truth`` is
-    there if the record was simulated.
+    there if the record was simulated. ``validation`` are other samples of the same system. ``units`` are
+    those of the ``input``, the ``output`` and ``time``; ``offsets`` what was taken off the ``input`` and the
+    ``output`` as they were measured.
 
     Raises
     ------
@@ -148,6 +150,8 @@ class Record:
     truth: Truth | None = None
     parts: Mapping[str, Part] = field(default_factory=dict)
     validation: Record | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    offsets: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("u", "y"):

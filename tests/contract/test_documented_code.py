@@ -28,6 +28,7 @@ ADDED = {
     "hident list estimators kernel": "",
     "hident schema": "",
     "hident doctor": "",
+    "hident show": "data.csv --input u --output y",
     "hident validate": "my.yaml",
     "hident run": "my.yaml --set excitation.high=2*pi --trials 20 --jobs 1 --out overridden",
     "hident status": "my.yaml --trials 2 --out mine",
@@ -56,6 +57,7 @@ def folder(tmp_path_factory):
         (folder / name).symlink_to(ROOT / name)
     (folder / "my.yaml").write_text(FIRST, encoding="utf-8")
     (folder / "my_estimators.py").write_text(ESTIMATOR, encoding="utf-8")
+    (folder / "data.csv").write_text("u,y\n0,1\n1,2\n", encoding="utf-8")
     return folder
 
 
@@ -122,7 +124,6 @@ def test_the_code_runs(space):
 
 def test_what_is_said_of_calls_between_the_lines(space, folder, monkeypatch):
     monkeypatch.chdir(folder)
-    (folder / "data.csv").write_text("u,y\n0,1\n1,2\n", encoding="utf-8")
     page = (ROOT / "docs/python.md").read_text(encoding="utf-8")
     calls = re.findall(r"`((?:hi|results|estimator|estimate)\.[\w.]+\([^`.]*(?:\.csv[^`]*)?\))`", page)
     names = {
@@ -136,6 +137,6 @@ def test_what_is_said_of_calls_between_the_lines(space, folder, monkeypatch):
         "y": np.zeros(3),
         "dt": 0.1,
     }
-    assert len(set(calls)) == 15
+    assert len(set(calls)) == 16
     for call in dict.fromkeys(calls):
         eval(call, {**space, **names})

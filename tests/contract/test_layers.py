@@ -24,7 +24,7 @@ LAYERS = (
     ("engine",),
     ("estimators", "metrics"),
     ("signals",),
-    ("systems", "measured", "fitted_model"),
+    ("systems", "measurements", "fitted_model"),
     ("records", "plugins"),
     ("block_chain",),
     ("linear_blocks", "static_functions"),

@@ -47,6 +47,7 @@ COUNTERPARTS = {
     "verify": "verify",
     "schema": "schema",
     "export": "Results.trials_frame",
+    "show": "first_look",
     "doctor": "examine",
 }
 

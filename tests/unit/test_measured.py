@@ -92,7 +92,11 @@ def test_what_is_wrong_with_the_columns_of_an_npz_file(tmp_path):
     [
         ("valve.npz", b"no archive", ": cannot be read: it is no NPZ file"),
         ("valve.csv", b"u,y\n\xff,1\n", ": cannot be read: it is no CSV file"),
-        ("valve.mat", b"", ": the name must end in .csv or .npz"),
+        (
+            "valve.xlsx",
+            b"",
+            ": the name must end in .csv, .tsv, .txt, .dat, .parquet, .mat, .npz, .h5 or .hdf5",
+        ),
     ],
 )
 def test_what_is_no_such_file(tmp_path, name, content, message):
@@ -100,7 +104,7 @@ def test_what_is_no_such_file(tmp_path, name, content, message):
     path.write_bytes(content)
     assert said(path) == message
     path.unlink()
-    if name != "valve.mat":
+    if name != "valve.xlsx":
         assert said(path) == ": no such file"
 
 

@@ -1,0 +1,1 @@
+"""Records of measurements: files of samples, what is done to them before they are used, a first look."""

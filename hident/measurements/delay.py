@@ -1,0 +1,142 @@
+"""The delay of a record, by the correlation of its output with its input."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hident.arrays import Array
+from hident.numerics.parts import Parts, longer_than
+
+_LONGEST_AR = 30
+_LAGS_OF_DELAY = 200
+# The chance that a correlation of nothing is called one, over all lags together.
+_CHANCE = 0.01
+# A correlation below this share of the largest one does not count as the first.
+_MATERIAL = 0.2
+
+
+@dataclass(frozen=True)
+class Delay:
+    """The delay in samples by the cross-correlation of input and output, both prewhitened.
+
+    At a lag below ``low`` the correlation is less than a fifth of the largest one, at ``high`` there is one,
+    each at 99 % over the lags in question. The filters are causal: what is the first lag stays the first.
+    """
+
+    low: int
+    high: int
+    method: str
+
+
+@dataclass(frozen=True, eq=False)
+class Correlation:
+    """Cross-correlations r(k) of the output at t with the input at t - k, each whitened by its own filter.
+
+    ``lags`` and ``values`` have the shape (K,); ``bound`` is what noise exceeds at no lag, at 99 %.
+    ``innovations`` is how many samples of equal size would be as many as the whitened input has: few, if it
+    jumps seldom.
+    """
+
+    lags: NDArray[np.int64]
+    values: Array
+    bound: float
+    innovations: float
+    method: str
+
+
+def correlation(u: Array, y: Array, parts: Parts) -> Correlation | None:
+    """The correlation of y with u; with the square of u if there is none."""
+    # The shortest part bounds the lags of all.
+    longest = max((part.stop - part.start for part in parts), default=0)
+    parts = longer_than(parts, max(20, longest // 4))
+    if not parts or not np.std(y) > 0.0 or not np.std(u) > 0.0:
+        return None
+    linear = _prewhitened(u, y, parts, "input")
+    if linear is None or first(linear) is not None:
+        return linear
+    square = np.square(u - np.mean(u))
+    even = _prewhitened(square, y, parts, "square of the input") if np.std(square) > 1e-6 else None
+    return even if even is not None and first(even) is not None else linear
+
+
+def _prewhitened(x: Array, y: Array, parts: Parts, what: str) -> Correlation | None:
+    """Haugh's: what its own autoregression leaves of y, against what another one leaves of x."""
+    from scipy.signal import correlate
+
+    shortest = min(part.stop - part.start for part in parts)
+    most = min(_LONGEST_AR, shortest // 10)
+    driving, p = _whitened(x - np.mean(x), parts, most)
+    driven, q = _whitened(y - np.mean(y), parts, most)
+    last = min(_LAGS_OF_DELAY, (shortest - most) // 4)
+    sums = np.zeros(2 * last + 1)
+    for a, b in zip(driving, driven, strict=True):
+        full = correlate(b, a, "full", "fft" if len(a) > 500 else "direct")
+        sums += full[len(a) - 1 - last : len(a) + last]
+    inputs, outputs = np.concatenate(driving), np.concatenate(driven)
+    size = math.sqrt(float(inputs @ inputs)) * math.sqrt(float(outputs @ outputs))
+    if not size > 0.0:
+        return None
+    bound = _normal(2 * last + 1) / math.sqrt(len(inputs))
+    innovations = float(inputs @ inputs) ** 2 / float(np.sum(inputs**4))
+    method = f"cross-correlation with the {what}, prewhitened by autoregressions of orders {p} and {q}"
+    return Correlation(np.arange(-last, last + 1), sums / size, bound, innovations, method)
+
+
+def _whitened(x: Array, parts: Parts, most: int) -> tuple[list[Array], int]:
+    """The prediction errors in each part, of one autoregression, and its order."""
+    from scipy.signal import lfilter
+
+    a = _autoregression(x, parts, most)
+    return [lfilter(a, 1.0, x[part])[most:] for part in parts], len(a) - 1
+
+
+def _autoregression(x: Array, parts: Parts, most: int) -> Array:
+    """Coefficients (1, a_1, ..., a_p) of the order that Schwarz's criterion chooses, by Yule and Walker."""
+    n = sum(part.stop - part.start for part in parts)
+    r = np.array([sum(x[p][k:] @ x[p][: len(x[p]) - k] for p in parts) for k in range(most + 1)]) / n
+    a, variance = np.ones(1), float(r[0])
+    best, chosen = math.inf, a
+    for p in range(most + 1):
+        if p:
+            # Levinson's recursion.
+            reflection = -float(a @ r[p:0:-1]) / variance
+            a = np.append(a, 0.0) + reflection * np.append(a, 0.0)[::-1]
+            variance *= 1.0 - reflection**2
+        if not variance > 1e-12 * r[0]:
+            break
+        score = n * math.log(variance) + p * math.log(n)
+        if score < best:
+            best, chosen = score, a
+    return chosen
+
+
+def _normal(tests: int) -> float:
+    """What none of so many standard normal numbers exceeds in size, but by the chance of 1 %."""
+    from scipy.special import ndtri
+
+    return float(-ndtri(_CHANCE / 2 / tests))
+
+
+def first(found: Correlation) -> int | None:
+    """The first lag from 0 with a correlation."""
+    there = np.flatnonzero((found.lags >= 0) & (np.abs(found.values) > found.bound))
+    return int(found.lags[there[0]]) if len(there) else None
+
+
+def delay(found: Correlation) -> Delay | None:
+    """The delay with its interval; None if nothing is correlated."""
+    high = first(found)
+    if high is None:
+        return None
+    size = np.abs(found.values[found.lags >= 0])
+    # Only the lags up to that one are in question.
+    narrower = found.bound * _normal(high + 1) / _normal(len(found.lags))
+    low = int(np.flatnonzero(size + narrower >= _MATERIAL * np.max(size))[0])
+    if found.bound < _MATERIAL * np.max(size):
+        # Where the bound is small, what is surely there may still be too small to count.
+        high = max(high, int(np.flatnonzero(size - found.bound >= _MATERIAL * np.max(size))[0]))
+    return Delay(low, max(low, high), found.method)

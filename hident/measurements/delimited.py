@@ -1,0 +1,179 @@
+"""Columns of text: a sample in each line, its values parted by commas, semicolons, tabs or blanks.
+
+What a file says is defined by one careful pass over its cells, which knows line and column of what is wrong.
+NumPy's reader goes first, as it is many times faster, and its answer counts where nothing can be wrong.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hident.arrays import Array
+from hident.errors import ConfigError
+from hident.measurements.columns import Column, places
+
+_SEPARATORS = ",;\t"
+_BLANK = " "
+_COMMENTS = ("#", "%")
+_QUOTED = re.compile('"[^"]*"')
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x19\x1b-\x1f]")
+_MISSING = {"", "nan", "na"}
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+
+
+class NotText(Exception):
+    """The bytes are no text that could hold columns."""
+
+
+def read_delimited(path: Path, wanted: Sequence[Column], *, blanks: bool = False) -> list[Array]:
+    """The wanted columns, each of shape (N,); with ``blanks``, nan where a value is missing.
+
+    Raises
+    ------
+    ConfigError
+        If a column is missing, or holds what is no finite number.
+    NotText, UnicodeDecodeError, csv.Error, OSError
+        If the file cannot be read at all.
+    """
+    table = _Table.of(path)
+    asked = places(path, wanted, table.names, named=table.named)
+    table.check_first_line(wanted, asked)
+    return table.quickly(asked, blanks) or table.carefully(asked, blanks)
+
+
+@dataclass(frozen=True)
+class _Table:
+    path: Path
+    separator: str
+    names: tuple[str, ...]
+    """Names of the columns; their numbers, if the file has no line of names."""
+    named: bool
+    first: int
+    """Number of the first line, from 1."""
+    body: list[str]
+    """The lines after that of the names."""
+
+    @classmethod
+    def of(cls, path: Path) -> _Table:
+        lines = _text(path.read_bytes()).replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        i = 0
+        while i < len(lines) - 1 and (not lines[i].strip() or lines[i].lstrip().startswith(_COMMENTS)):
+            i += 1
+        bare = _QUOTED.sub("", lines[i])
+        separator = max(_SEPARATORS, key=bare.count)
+        if separator not in bare:
+            separator = _BLANK
+        cells = _full(next(iter(_rows([lines[i]], separator)), (0, []))[1])
+        named = not cells or not all(_is_number(cell) for cell in cells if cell)
+        names = cells if named else [str(1 + k) for k in range(len(cells))]
+        return cls(path, separator, tuple(names), named, i + 1, lines[i + 1 :] if named else lines[i:])
+
+    def check_first_line(self, wanted: Sequence[Column], asked: Sequence[int]) -> None:
+        """Refuse a first line of names that holds a number where a column is meant by its number."""
+        for column, place in zip(wanted, asked, strict=True):
+            name = self.names[place]
+            if self.named and _is_number(name) and column != name:
+                other = next(cell for cell in self.names if cell and not _is_number(cell))
+                raise ConfigError(
+                    f"{self.path}:{self.first}: holds numbers ('{name}') as well as what is none ('{other}')"
+                )
+
+    def quickly(self, asked: Sequence[int], blanks: bool) -> list[Array] | None:
+        """The columns by NumPy's reader; None where only the careful pass can tell."""
+        lines = [line for line in self.body if line.strip()]
+        if not lines or not all(map(self._regular, lines)):
+            return None
+        delimiter = None if self.separator == _BLANK else self.separator
+        try:
+            values = np.loadtxt(lines, delimiter=delimiter, usecols=asked, comments=None, ndmin=2)
+        except ValueError:
+            return None
+        if (np.isinf(values) if blanks else ~np.isfinite(values)).any():
+            return None
+        return list(values.T.copy())
+
+    def _regular(self, line: str) -> bool:
+        """Whether a line plainly has the columns of the first one; a separator may stand at its end."""
+        if '"' in line:
+            return False
+        if self.separator == _BLANK:
+            return len(line.split()) == len(self.names)
+        extra = line.count(self.separator) + 1 - len(self.names)
+        return extra == 0 or (extra == 1 and line.rstrip(" ").endswith(self.separator))
+
+    def carefully(self, asked: Sequence[int], blanks: bool) -> list[Array]:
+        """The columns cell by cell."""
+        samples: list[list[float]] = []
+        for number, row in _rows(self.body, self.separator):
+            where = f"{self.path}:{self.first + self.named + number - 1}"
+            if len(row) < len(self.names) or any(row[len(self.names) :]):
+                first = "names" if self.named else "has"
+                raise ConfigError(
+                    f"{where}: has {len(row)} columns, where the first line {first} {len(self.names)}"
+                )
+            samples.append([self._value(row[place], place, where, blanks) for place in asked])
+        return list(np.array(samples, dtype=float).reshape(-1, len(asked)).T.copy())
+
+    def _value(self, text: str, place: int, where: str, blanks: bool) -> float:
+        if blanks and text.lower() in _MISSING:
+            return math.nan
+        if _is_number(text) and math.isfinite(value := float(text)):
+            return value
+        column = f"'{self.names[place]}'" if self.named else self.names[place]
+        hint = ""
+        if self.named and text == self.names[place]:
+            hint = "; the names of the columns stand here once more"
+        elif _DECIMAL_COMMA.fullmatch(text):
+            hint = "; numbers are written with a decimal point"
+        raise ConfigError(f"{where}: column {column}: must be a finite number (got '{text}'){hint}")
+
+
+def _text(raw: bytes) -> str:
+    if _CONTROL.search(raw):
+        raise NotText
+    try:
+        # Spreadsheets begin their files with a mark that is no part of the first name.
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        # Older programs write names, with their units, in the letters of Western Europe.
+        first, end, rest = raw.partition(b"\n")
+        return (first + end).decode("cp1252") + rest.decode("ascii")
+
+
+def _rows(lines: Sequence[str], separator: str) -> Iterator[tuple[int, list[str]]]:
+    """The cells of each line that holds any, with its number from 1."""
+    if separator == _BLANK and not any('"' in line for line in lines):
+        yield from ((number, line.split()) for number, line in enumerate(lines, 1) if line.strip())
+        return
+    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True)
+    for row in reader:
+        cells = [cell.strip() for cell in row]
+        if separator == _BLANK:
+            cells = [cell for cell in cells if cell]
+        if len(cells) > 1 or any(cells):
+            yield reader.line_num, cells
+
+
+def _full(cells: list[str]) -> list[str]:
+    """The cells without empty ones at the end."""
+    while cells and not cells[-1]:
+        cells = cells[:-1]
+    return cells
+
+
+def _is_number(text: str) -> bool:
+    # Python's own reading takes the underscores of its source code.
+    if "_" in text:
+        return False
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,257 @@
+"""Columns of files: every format is read to the last bit, and what is wrong with a file is said."""
+
+import random
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from hident.errors import ConfigError
+from hident.measurements.files import SUFFIXES, read_columns
+
+U, Y = np.random.default_rng(8).normal(size=(2, 50))
+NO_NUMBER = ": column 'u': must be a finite number"
+BY_NUMBER = ": the file does not name its columns, so they go by number, 1 to 2"
+
+
+def written(folder, content, name="valve.csv"):
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def said(path, wanted=("u", "y"), **options):
+    with pytest.raises(ConfigError) as caught:
+        read_columns(path, list(wanted), **options)
+    return str(caught.value).removeprefix(f"{path}")
+
+
+def columns(path, *wanted, **options):
+    return [column.tolist() for column in read_columns(path, list(wanted), **options)]
+
+
+def assert_read(path, *wanted):
+    u, y = read_columns(path, list(wanted))
+    assert (u.tobytes(), y.tobytes()) == (U.tobytes(), Y.tobytes())
+    assert u.dtype == y.dtype == np.float64
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " ", "   ", " \t "])
+@pytest.mark.parametrize("trailing", [False, True])
+@pytest.mark.parametrize("names", [True, False])
+@pytest.mark.parametrize("suffix", [".csv", ".txt", ".dat", ".tsv"])
+def test_text_is_read_to_the_last_bit(tmp_path, separator, trailing, names, suffix):
+    rows = [
+        [repr(0.1 * k), repr(u), repr(y)] for k, (u, y) in enumerate(zip(U.tolist(), Y.tolist(), strict=True))
+    ]
+    lines = [separator.join(row) + separator * trailing for row in ([["t", "u", "y"]] * names + rows)]
+    path = written(tmp_path, "\r\n".join([*lines, ""]), f"valve{suffix}")
+    assert_read(path, 2, 3)
+    assert_read(path, "2", "3")
+    if names:
+        assert_read(path, "u", "y")
+
+
+def test_a_name_goes_before_a_number_in_a_text(tmp_path):
+    path = written(tmp_path, "u,1\n5,6\n7,8\n")
+    assert columns(path, "1", "u") == [[6.0, 8.0], [5.0, 7.0]]
+    assert said(path, [2]) == ":1: holds numbers ('1') as well as what is none ('u')"
+
+
+def test_what_is_not_asked_for_may_be_missing(tmp_path):
+    path = written(tmp_path, '"u","y","Ts",\n1,2,4,\n3,4,,\n5,6,,\n')
+    assert columns(path, "u", "y") == [[1.0, 3.0, 5.0], [2.0, 4.0, 6.0]]
+    assert said(path, ["Ts", "y"]) == ":3: column 'Ts': must be a finite number (got '')"
+
+
+def test_names_may_hold_separators_and_letters_of_old_programs(tmp_path):
+    path = written(tmp_path, '"flow, l/min";"T in °C"\n1;2\n3;4\n'.encode("latin-1"))
+    assert columns(path, "flow, l/min", "T in °C") == [[1.0, 3.0], [2.0, 4.0]]
+
+
+def test_numbers_in_quotation_marks_and_comments_before_the_first_line(tmp_path):
+    path = written(tmp_path, '# made by a logger\n%\n\n"u","y"\n"1","2"\n\n"3","4"\n')
+    assert columns(path, "u", "y") == [[1.0, 3.0], [2.0, 4.0]]
+
+
+def test_missing_values_are_nan_where_they_may_be(tmp_path):
+    path = written(tmp_path, "u,y\n1,2\n,NA\nnan,3\n4,5\n")
+    u, y = read_columns(path, ["u", "y"], blanks=True)
+    np.testing.assert_array_equal(u, [1, np.nan, np.nan, 4])
+    np.testing.assert_array_equal(y, [2, np.nan, 3, 5])
+    assert said(written(tmp_path, "u,y\n1,x\n"), blanks=True).endswith("(got 'x')")
+    assert said(written(tmp_path, "u,y\n1,inf\n"), blanks=True).endswith("(got 'inf')")
+
+
+def test_the_quick_reader_finds_what_the_careful_pass_finds(tmp_path):
+    """Random damage: with and without a quoted cell, for which only the careful pass goes, all is alike."""
+    draw = random.Random(3)
+    cells = ["1", "-2.5e-3", " 7 ", "", "nan", "1_0", "0x10", "1,5", "1e400", "x", "1+2j", "infinity", "1d5"]
+    for _ in range(100):
+        rows = [
+            [draw.choice(cells[: draw.choice([3, 13])]) for _ in range(draw.choice([3, 3, 3, 3, 2, 4]))]
+            for _ in "ab"
+        ]
+        text = "\n".join(map(";".join, rows))
+        blanks = draw.random() < 0.5
+        found = []
+        for first in ("a;b;c", '"a";b;c'):
+            for mark in ("", '\n"1";2;3'):
+                path = written(tmp_path, f"{first}\n{text}{mark}\n")
+                try:
+                    read = read_columns(path, ["a", "c"], blanks=blanks)
+                    found.append(repr([column.tolist()[:2] for column in read]))
+                except ConfigError as error:
+                    found.append(str(error))
+        assert len(set(found)) == 1, (text, found)
+
+
+def test_arrays_are_read_to_the_last_bit(tmp_path):
+    np.savez(tmp_path / "valve.npz", u=U, y=Y[:, None])
+    assert_read(tmp_path / "valve.npz", "u", "y")
+    assert_read(tmp_path / "valve.npz", 1, 2)
+    np.savez(tmp_path / "table.npz", np.column_stack([U, Y]))
+    assert_read(tmp_path / "table.npz", 1, 2)
+    assert said(tmp_path / "table.npz", ["u", 2]) == (f": there is no column 'u'{BY_NUMBER}")
+
+
+@pytest.mark.parametrize("oned_as", ["row", "column"])
+def test_a_mat_file_is_read_to_the_last_bit_with_its_structures(tmp_path, oned_as):
+    path = tmp_path / "valve.mat"
+    savemat(path, {"u": U, "data": {"y": Y, "name": "valve", "more": {"t": U}}}, oned_as=oned_as)
+    assert_read(path, "u", "data.y")
+    assert_read(path, "data.more.t", "data.y")
+    assert said(path, ["u", "data.z"]) == (
+        ": there is no column 'data.z'; did you mean 'data.y'? "
+        "(the file has: u, data.y, data.name, data.more.t)"
+    )
+    assert "must be an array of numbers" in said(path, ["u", "data.name"])
+
+
+def test_a_parquet_file_is_read_to_the_last_bit(tmp_path):
+    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    path = tmp_path / "valve.parquet"
+    texts, on = ["x"] * 50, [None, *[True, False] * 24, True]
+    pq.write_table(pa.table({"u": U, "y": Y, "text": texts, "on": on, "n": [*range(49), None]}), path)
+    assert_read(path, "u", "y")
+    assert_read(path, 1, 2)
+    assert said(path, ["u", "text"]) == ": column 'text': must hold numbers, not string"
+    assert "must be a finite number (got nan)" in said(path, ["u", "n"])
+    assert np.isnan(read_columns(path, ["n"], blanks=True)[0][49])
+    assert said(path, ["u", "Y"]).startswith(": there is no column 'Y'; did you mean 'y'?")
+
+
+def test_an_hdf5_file_is_read_to_the_last_bit(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "valve.h5"
+    with h5py.File(path, "w") as file:
+        file["u"], file["run/y"] = U, Y[:, None]
+    assert_read(path, "u", "run/y")
+    assert said(path, ["u", "run/z"]).startswith(": there is no column 'run/z'; did you mean 'run/y'?")
+
+
+def test_a_mat_file_of_version_7_3_is_read_as_hdf5(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "valve.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["u"], file["y"] = U[None], Y[None]
+    with path.open("r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+    assert_read(path, "u", "y")
+
+
+def test_without_h5py_a_message_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "h5py", None)
+    head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
+    assert said(written(tmp_path, head.ljust(600), "valve.mat")) == (
+        ": a MAT file of version 7.3 is HDF5: reading it needs h5py: pip install 'hident[hdf5]', or save it "
+        "in MATLAB with '-v7'"
+    )
+    assert said(written(tmp_path, b"", "valve.h5")) == ": reading HDF5 needs h5py: pip install 'hident[hdf5]'"
+
+
+def test_without_pyarrow_a_message_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
+    assert said(written(tmp_path, b"", "valve.parquet")) == (
+        ": reading Parquet needs pyarrow: pip install 'hident[parquet]'"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted", "message"),
+    [
+        ("1,2\n3,4\n", ["u", 2], f": there is no column 'u'{BY_NUMBER}"),
+        ("1,2\n3,4\n", [1, 3], ": there is no column 3 (the file has 2)"),
+        ("u,y\n3,4\n", [0, 1], ": there is no column 0 (the file has 2: u, y)"),
+        ("1,2\n3,4,5\n", [1, 2], ":2: has 3 columns, where the first line has 2"),
+        ("1,2\n3,x\n", [1, 2], ":2: column 2: must be a finite number (got 'x')"),
+        ("1,x\n3,4\n", [1, 2], ":1: holds numbers ('1') as well as what is none ('x')"),
+        (
+            "u,y\nu,y\n1,2\n",
+            ["u", "y"],
+            f":2{NO_NUMBER} (got 'u'); the names of the columns stand here once more",
+        ),
+        ("u,y\n[V],[m]\n1,2\n", ["u", "y"], ":2: column 'u': must be a finite number (got '[V]')"),
+        (
+            "u;y\n1,5;2,5\n",
+            ["u", "y"],
+            f":2{NO_NUMBER} (got '1,5'); numbers are written with a decimal point",
+        ),
+        ("u,y\n1e400,2\n", ["u", "y"], ":2: column 'u': must be a finite number (got '1e400')"),
+        ("u,y\n1+2j,2\n", ["u", "y"], ":2: column 'u': must be a finite number (got '1+2j')"),
+    ],
+)
+def test_what_is_wrong_with_text(tmp_path, text, wanted, message):
+    assert said(written(tmp_path, text), wanted) == message
+
+
+def test_of_many_columns_a_message_names_some(tmp_path):
+    path = written(tmp_path, ",".join(f"c{k}" for k in range(1000)) + "\n")
+    assert said(path).endswith("c38, c39, and 960 more)")
+
+
+def test_complex_numbers_are_refused(tmp_path):
+    np.savez(tmp_path / "valve.npz", u=U + 1j, y=Y)
+    assert said(tmp_path / "valve.npz") == (
+        ": column 'u': must be an array of numbers of shape (N,), not complex128 of (50,)"
+    )
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_junk_is_no_file_of_any_kind(tmp_path, suffix):
+    if suffix in (".h5", ".hdf5"):
+        pytest.importorskip("h5py")
+    for seed in range(20):
+        junk = written(tmp_path, np.random.default_rng(seed).bytes(3000), f"valve{suffix}")
+        assert said(junk) == f": cannot be read: it is no {suffix[1:].upper()} file"
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_an_empty_file_a_folder_and_none(tmp_path, suffix):
+    if suffix in (".h5", ".hdf5"):
+        pytest.importorskip("h5py")
+    path = tmp_path / f"valve{suffix}"
+    assert said(path) == ": no such file"
+    path.mkdir()
+    assert said(path) == ": is a folder; name a file"
+    path.rmdir()
+    assert said(written(tmp_path, b"", path.name)).startswith((": cannot be read: it is no", ": there is no"))
+
+
+def test_a_broken_archive_is_refused_wherever_it_is_broken(tmp_path):
+    np.savez_compressed(tmp_path / "whole.npz", u=U, y=Y)
+    savemat(tmp_path / "whole.mat", {"u": U, "y": Y}, do_compression=True)
+    draw = random.Random(1)
+    for name in ("whole.npz", "whole.mat"):
+        content = (tmp_path / name).read_bytes()
+        for _ in range(150):
+            place = draw.randrange(len(content))
+            damaged = bytearray(content)
+            damaged[place] ^= 1 << draw.randrange(8)
+            cut = content[:place]
+            for broken in (bytes(damaged), cut):
+                path = written(tmp_path, broken, f"broken{name[-4:]}")
+                try:
+                    read_columns(path, ["u", "y"])
+                except ConfigError as error:
+                    assert str(error).startswith(f"{path}: ")
