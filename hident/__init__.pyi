@@ -38,6 +38,7 @@ from hident.estimators.nonparametric.least_squares import LeastSquares as LeastS
 from hident.estimators.nonparametric.orthogonal import Orthogonal as Orthogonal
 from hident.estimators.voros.voros_hammerstein import VorosHammerstein as VorosHammerstein
 from hident.estimators.voros.voros_wiener import VorosWiener as VorosWiener
+from hident.fitted_model import FittedModel as FittedModel
 from hident.linear_blocks import ContinuousTransferFunction as ContinuousTransferFunction
 from hident.linear_blocks import TransferFunction as TransferFunction
 from hident.measured import read as read
@@ -52,6 +53,7 @@ from hident.metrics.nonlinearity import IntegratedSquaredError as IntegratedSqua
 from hident.metrics.nonlinearity import NonlinearityPercentError as NonlinearityPercentError
 from hident.metrics.values import Coverage as Coverage, Error as Error, PercentError as PercentError
 from hident.metrics.values import Share as Share, TrueValue as TrueValue, Value as Value
+from hident.models.model_file import load_model as load_model, write_model as write_model
 from hident.records import Estimate as Estimate, Record as Record
 from hident.reports.figures.bode import Bode as Bode
 from hident.reports.figures.curve import Curve as Curve

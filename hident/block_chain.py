@@ -40,6 +40,15 @@ class BlockChain:
         return "-".join("L" if isinstance(block, TransferFunction) else "N" for block in self.blocks)
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """What the blocks are called: N and L, numbered where there are several of a kind (N1, L, N2)."""
+        kinds = self.structure.split("-")
+        return tuple(
+            f"{kind}{kinds[: i + 1].count(kind)}" if kinds.count(kind) > 1 else kind
+            for i, kind in enumerate(kinds)
+        )
+
+    @property
     def linear(self) -> tuple[TransferFunction, ...]:
         """The linear blocks, in their order."""
         return tuple(block for block in self.blocks if isinstance(block, TransferFunction))

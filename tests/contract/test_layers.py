@@ -23,7 +23,7 @@ LAYERS = (
     ("run_folder",),
     ("engine",),
     ("estimators", "metrics"),
-    ("signals",),
+    ("signals", "models"),
     ("systems", "measured", "fitted_model"),
     ("records", "plugins"),
     ("block_chain",),
@@ -33,6 +33,7 @@ LAYERS = (
     ("config",),
     ("__init__",),
     ("arithmetic",),
+    ("new_files",),
     ("errors", "stopping"),
 )
 HEIGHT = {room: -level for level, rooms in enumerate(LAYERS) for room in rooms}
