@@ -53,6 +53,8 @@ from hident.metrics.nonlinearity import IntegratedSquaredError as IntegratedSqua
 from hident.metrics.nonlinearity import NonlinearityPercentError as NonlinearityPercentError
 from hident.metrics.values import Coverage as Coverage, Error as Error, PercentError as PercentError
 from hident.metrics.values import Share as Share, TrueValue as TrueValue, Value as Value
+from hident.models.control_export import initial_state as initial_state, to_control as to_control
+from hident.models.convert import convert as convert
 from hident.models.model_file import load_model as load_model, write_model as write_model
 from hident.records import Estimate as Estimate, Record as Record
 from hident.reports.figures.bode import Bode as Bode

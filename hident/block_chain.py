@@ -87,8 +87,12 @@ class BlockChain:
             if isinstance(block, StaticFunction):
                 signals.append(block(x))
                 continue
+            if not len(x):
+                # lfilter takes no empty signal through a block without feedback.
+                signals.append(x)
+                continue
             b, denominator = np.asarray(block.b, dtype=float), block.denominator
-            state = settled_state(b, denominator) * x[:1] if start == "settled" and len(x) else 0.0
+            state = settled_state(b, denominator) * x[0] if start == "settled" else 0.0
             zi = np.zeros(max(len(b), len(denominator)) - 1) + state + next(rest, 0.0)
             signals.append(np.asarray(lfilter(b, denominator, x, zi=zi)[0]))
         return tuple(signals)
