@@ -55,6 +55,7 @@ from hident.metrics.values import Coverage as Coverage, Error as Error, PercentE
 from hident.metrics.values import Share as Share, TrueValue as TrueValue, Value as Value
 from hident.models.control_export import initial_state as initial_state, to_control as to_control
 from hident.models.convert import convert as convert
+from hident.models.formulas import formulas as formulas
 from hident.models.model_file import load_model as load_model, write_model as write_model
 from hident.records import Estimate as Estimate, Record as Record
 from hident.reports.figures.bode import Bode as Bode

@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 import hident
 from hident import arithmetic, console, stopping
 from hident.config.suggest import did_you_mean, one_of
-from hident.errors import Exit, HidentError
+from hident.errors import ConfigError, Exit, HidentError
 
 if TYPE_CHECKING:
     from hident.engine.experiment import Plan
@@ -89,6 +89,7 @@ Log = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Append a line of JSON for each chunk of trials and each fault."),
 ]
+ModelFile = Annotated[Path, typer.Argument(help="A fitted model: model.json.")]
 _STORE, _OUT, _RESULTS = Path(".hident"), Path("out"), Path("results")
 
 
@@ -401,6 +402,88 @@ def export(
 
     [plan] = _plans([config], assignments, trials, seed, plugin)
     print(export(plan, store, file))
+
+
+@app.command()
+def simulate(
+    model: ModelFile,
+    data: Annotated[Path, typer.Argument(help="The samples: CSV or NPZ.")],
+    input_name: Annotated[
+        str | None,
+        typer.Option("--input", metavar="NAME", help="Column of the input; by default the model's own."),
+    ] = None,
+    compare: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Column of a measured output to compare with.")
+    ] = None,
+    dt: Annotated[float | None, typer.Option(help="Sampling interval; by default the model's.")] = None,
+    time: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Column of the sampling times, in place of --dt.")
+    ] = None,
+    k_step: Annotated[
+        int,
+        typer.Option("--k-step", min=0, help="Predict so many samples ahead from --compare; 0 simulates."),
+    ] = 0,
+    n_init: Annotated[
+        int, typer.Option("--n-init", min=0, help="First samples that the comparison leaves out.")
+    ] = 0,
+    any_dt: Annotated[
+        bool, typer.Option("--any-dt", help="Take samples of another interval as if they were the model's.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.csv", help="Write time, input, output and residual.")
+    ] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw them.")] = None,
+) -> None:
+    """Simulate a fitted model.
+
+    What was measured can stand beside it, and is compared.
+    """
+    from hident.commands.models import simulate_model
+
+    simulate_model(
+        model,
+        data,
+        input_name=input_name,
+        compare=compare,
+        dt=dt,
+        time=time,
+        steps=k_step,
+        n_init=n_init,
+        any_dt=any_dt,
+        out=out,
+        plot=plot,
+    )
+
+
+@app.command()
+def show(
+    file: ModelFile,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder to write figures to.")] = None,
+) -> None:
+    """Show what is in a file.
+
+    Of a fitted model (.json) its blocks, as formulas and pictures.
+    """
+    if file.suffix.lower() != ".json":
+        raise ConfigError(f"{file}: the name must end in .json, as those of fitted models do")
+    from hident.commands.models import print_model
+
+    print_model(file, out)
+
+
+@app.command()
+def convert(
+    model: ModelFile,
+    to: Annotated[str, typer.Option(metavar="NAME", help="python, scipy, control or matlab.")],
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Where to; printed by default.")] = None,
+) -> None:
+    """Write a fitted model as source code.
+
+    The program that it is for gives the same response.
+    """
+    from hident.commands.models import convert_model
+
+    convert_model(model, to, out)
 
 
 @app.command()

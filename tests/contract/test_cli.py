@@ -30,7 +30,21 @@ if TYPE_CHECKING:
     from tests.conftest import Lab
 
 plugins.load()
-_VERBS = ("list", "validate", "run", "status", "compare", "accept", "verify", "schema", "export", "doctor")
+_VERBS = (
+    "list",
+    "validate",
+    "run",
+    "status",
+    "compare",
+    "accept",
+    "verify",
+    "schema",
+    "export",
+    "simulate",
+    "show",
+    "convert",
+    "doctor",
+)
 _PUBLISHED = {
     "paper_trials": "unknown",
     "cells": [

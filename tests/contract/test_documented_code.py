@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 import hident as hi
+from hident.block_chain import BlockChain
 from tests.documented import ROOT, blocks, commands
 from tests.forked import run_forked
 
@@ -37,6 +38,9 @@ ADDED = {
     "hident compare": "mine mine",
     "hident verify": "results",
     "hident export": "my.yaml trials.csv --trials 2",
+    "hident simulate": "model.json valve.csv --input u",
+    "hident show": "model.json",
+    "hident convert": "model.json --to python",
 }
 # A decision about results/, which has its own tests, and what takes a shell.
 NOT_RUN = {"hident accept", "hident accept <config>", "hident list | head -1"}
@@ -55,6 +59,9 @@ def folder(tmp_path_factory):
     for name in ("configs", "experiments", "results"):
         (folder / name).symlink_to(ROOT / name)
     (folder / "my.yaml").write_text(FIRST, encoding="utf-8")
+    tank = hi.TransferFunction(b=(0.0, 0.5), a=(0.5,))
+    hi.write_model(hi.FittedModel(BlockChain((tank,))), folder / "model.json")
+    (folder / "valve.csv").write_text("u\n1\n2\n", encoding="utf-8")
     (folder / "my_estimators.py").write_text(ESTIMATOR, encoding="utf-8")
     return folder
 

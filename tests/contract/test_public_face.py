@@ -47,6 +47,9 @@ COUNTERPARTS = {
     "verify": "verify",
     "schema": "schema",
     "export": "Results.trials_frame",
+    "simulate": "FittedModel.simulate",
+    "show": "formulas",
+    "convert": "convert",
     "doctor": "examine",
 }
 

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,7 +60,7 @@ def module(model, to):
     source = hi.convert(model, to)
     assert "hident" not in "".join(line for line in source.splitlines() if "import" in line)
     assert max(map(len, source.splitlines())) <= 110
-    names = {}
+    names: dict[str, Any] = {}
     exec(compile(source, f"<{to}>", "exec"), names)
     return names
 
@@ -140,7 +141,7 @@ def test_octave_gives_the_same_response(tmp_path):
     lines += ["disp([size(model_0(u')), size(model_0(1)), size(model_0([])), size(model_1(single(u)))]);"]
     (tmp_path / "every_model.m").write_text("\n".join(lines))
     done = subprocess.run(
-        [OCTAVE, "--norc", "--quiet", "every_model.m"],
+        [str(OCTAVE), "--norc", "--quiet", "every_model.m"],
         cwd=tmp_path,
         capture_output=True,
         text=True,
