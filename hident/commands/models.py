@@ -51,10 +51,13 @@ def _draw(model: FittedModel, folder: Path) -> list[str]:
 def _save(path: Path, draw: Any) -> None:
     from hident.reports.style import style, typeset
 
-    with style(), replacing(path) as new:
-        figure = draw()
-        typeset(figure)
-        figure.savefig(new, format="png", metadata={"Software": None})
+    with style(), replacing(path) as new, np.errstate(all="ignore"):
+        try:
+            figure = draw()
+            typeset(figure)
+            figure.savefig(new, format="png", metadata={"Software": None})
+        except (ValueError, OverflowError, np.linalg.LinAlgError) as error:
+            raise ConfigError(f"{path} cannot be drawn: numbers are too large ({error})") from None
 
 
 def convert_model(file: Path, to: str, out: Path | None) -> None:
@@ -197,7 +200,8 @@ class _Run:
 
     def _scores(self, y: Array, made: Array) -> str:
         """By the definitions of nonlinear_benchmarks: NRMSE = RMSE/std(y), fit = 100 (1 - NRMSE)."""
-        rmse, spread = float(np.sqrt(np.mean((y - made) ** 2))), float(np.std(y))
+        with np.errstate(over="ignore"):
+            rmse, spread = float(np.sqrt(np.mean((y - made) ** 2))), float(np.std(y))
         if spread == 0.0:
             return f"RMSE {rmse:.5g}{self._unit()} ('{self.compare}' is constant: no NRMSE)"
         nrmse = rmse / spread

@@ -140,7 +140,7 @@ def initial_state(model: FittedModel, first: float) -> Array:
 def control_source(model: FittedModel) -> str:
     """Source of a module with a function ``system()`` that builds the system of :func:`to_control`."""
     blocks, chain = plain_blocks(model), model.chain
-    interval = f"DT = {True if chain.dt is None else chain.dt!r}\n"
+    interval = f"DT = {True if chain.dt is None else float(chain.dt)!r}\n"
     if not chain.static:
         rows = [as_rows(block) for block in chain.linear]
         factors = [call("control.TransferFunction", (*row, "DT"), {}, " " * 8) for row in rows]

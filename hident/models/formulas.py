@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from decimal import Decimal
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from hident.models.source_text import kind_of, wrapped
 from hident.static_functions import Chebyshev, DeadZone, PiecewiseLinear, Saturation, StaticFunction
 
 _DIGITS = 5
+_SMALLEST = 15
+"""The last decimal of which a standard error can tell anything."""
 _POWERS = 5
 """The highest degree of a polynomial that is also written in powers."""
 
@@ -37,8 +40,13 @@ def formulas(model: FittedModel) -> str:
       static gain 1.0246
       pole 0.512 (time constant 1.494 samples)
     """
+    with np.errstate(all="ignore"):
+        return "\n\n".join(_parts(model))
+
+
+def _parts(model: FittedModel) -> Iterator[str]:
     chain = model.chain
-    parts = [_head(model)]
+    yield _head(model)
     errors = model.errors or ({},) * len(chain.blocks)
     for i, (name, block) in enumerate(zip(chain.names, chain.blocks, strict=True)):
         lines = (
@@ -48,10 +56,9 @@ def formulas(model: FittedModel) -> str:
         )
         fitted = model.range_of(i)
         said = f", fitted to inputs from {fitted[0]:.{_DIGITS}g} to {fitted[1]:.{_DIGITS}g}" if fitted else ""
-        parts.append("\n".join([f"{name}: {kind_of(block)}{said}", *(f"  {line}" for line in lines)]))
+        yield "\n".join([f"{name}: {kind_of(block)}{said}", *(f"  {line}" for line in lines)])
     if model.noise.ar or model.noise.ma or model.noise.variance:
-        parts.append(_noise(model))
-    return "\n\n".join(parts)
+        yield _noise(model)
 
 
 def time_unit(model: FittedModel) -> str:
@@ -189,7 +196,7 @@ def _sum(left: str, terms: Sequence[tuple[float, float | None, str]]) -> Iterato
         if value == 0.0 and not error:
             continue
         size = _number(abs(value), error)
-        word = " ".join(filter(None, (factor if size == "1" and factor else f"{size} {factor}".strip(),)))
+        word = factor if size == "1" and factor else f"{size} {factor}".strip()
         sign = ("-" if value < 0.0 else "") if first else ("- " if value < 0.0 else "+ ")
         if len(line) + len(word) > 96:
             yield line.rstrip()
@@ -201,14 +208,17 @@ def _sum(left: str, terms: Sequence[tuple[float, float | None, str]]) -> Iterato
 
 def _number(value: float, error: float | None = None) -> str:
     """A number with its standard error in units of the last digits; five digits if there is none."""
-    if not error:
+    if not error or not math.isfinite(value):
         return f"{value:.{_DIGITS}g}"
     power = math.floor(math.log10(max(abs(value), error)))
     if -4 < power < 6:
         power = 0
-    scaled, spread = value / 10.0**power, error / 10.0**power
-    decimals = max(0, 1 - math.floor(math.log10(spread)))
-    digits = f"{spread:.{decimals}f}" if spread >= 1.0 else f"{spread * 10.0**decimals:.0f}"
+    # Decimals have exponents to spare.
+    scaled, spread = (Decimal(repr(float(number))).scaleb(-power) for number in (value, error))
+    decimals = max(0, 1 - spread.adjusted())
+    if decimals > _SMALLEST:
+        return f"{value:.{_DIGITS}g}"
+    digits = f"{spread:.{decimals}f}" if spread >= 1 else f"{spread.scaleb(decimals):.0f}"
     return f"{scaled:.{decimals}f}({digits})" + (f"e{power:+03d}" if power else "")
 
 

@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from hident.arrays import Array
 from hident.block_chain import settled_state
 from hident.errors import ConfigError
 from hident.fitted_model import FittedModel
@@ -85,14 +85,22 @@ def plain_blocks(model: FittedModel) -> tuple[PlainBlock, ...]:
     Raises
     ------
     ConfigError
-        If a basis is not one of hident's own, or a block cannot start settled.
+        If a basis is not one of hident's own, a block cannot start settled, or a slope or a state is too
+        large for a number.
     """
-    return tuple(
-        as_filter(block, settled=model.start == "settled")
-        if isinstance(block, TransferFunction)
-        else as_curve(block)
-        for block in model.chain.blocks
-    )
+    found: list[PlainBlock] = []
+    for name, block in zip(model.chain.names, model.chain.blocks, strict=True):
+        with np.errstate(all="ignore"):
+            found.append(
+                as_filter(block, settled=model.start == "settled")
+                if isinstance(block, TransferFunction)
+                else as_curve(block)
+            )
+        if not all(np.all(np.isfinite(numbers)) for numbers in vars(found[-1]).values()):
+            raise ConfigError(
+                f"the numbers of {name} are too large to be converted: a slope or state overflows"
+            )
+    return tuple(found)
 
 
 def as_filter(block: TransferFunction, *, settled: bool) -> Filter:
@@ -108,20 +116,20 @@ def as_filter(block: TransferFunction, *, settled: bool) -> Filter:
 
 def as_curve(function: StaticFunction) -> BrokenLine | CubicPieces | ChebyshevSum:
     """The curve of a static function."""
-    basis, c = function.basis, function.coefficients
+    basis, c = function.basis, _row(function.coefficients)
     match basis:
         case Saturation():
-            corners = (basis.low, basis.high)
+            corners = _row((basis.low, basis.high))
             return BrokenLine(0.0, 0.0, corners, tuple(c[0] + c[1] * corner for corner in corners))
         case DeadZone():
-            return BrokenLine(c[1], c[2], (basis.low, basis.high), (c[0], c[0]))
+            return BrokenLine(c[1], c[2], _row((basis.low, basis.high)), (c[0], c[0]))
         case PiecewiseLinear():
-            return BrokenLine(*_end_slopes(function, basis.knots), basis.knots, c)
+            return BrokenLine(*_end_slopes(function, basis.knots), _row(basis.knots), c)
         case CubicSpline():
-            return CubicPieces(*_end_slopes(function, basis.knots), basis.knots, _pieces(basis, c))
+            return CubicPieces(*_end_slopes(function, basis.knots), _row(basis.knots), _pieces(basis, c))
         case Chebyshev():
-            ends = (basis.low, basis.high)
-            return ChebyshevSum(*_end_slopes(function, ends), *ends, c)
+            low, high = _row((basis.low, basis.high))
+            return ChebyshevSum(*_end_slopes(function, (low, high)), low, high, c)
     raise ConfigError(f"a static function of the basis '{basis.kind}' cannot be converted")
 
 
@@ -141,5 +149,6 @@ def _pieces(basis: CubicSpline, coefficients: Row) -> tuple[Row, ...]:
     return tuple(map(_row, rows))
 
 
-def _row(values: Array) -> Row:
+def _row(values: ArrayLike) -> Row:
+    """The numbers as Python's own, whatever numpy made them."""
     return tuple(np.asarray(values, dtype=float).tolist())

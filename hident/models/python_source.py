@@ -162,7 +162,7 @@ def as_rows(block: TransferFunction) -> tuple[Row, Row]:
 
 def dt(model: FittedModel) -> float:
     """The sampling interval, 1 where times count samples."""
-    return 1.0 if model.chain.dt is None else model.chain.dt
+    return 1.0 if model.chain.dt is None else float(model.chain.dt)
 
 
 def call(function: str, given: Sequence[object], named: Mapping[str, object], indent: str) -> str:

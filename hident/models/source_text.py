@@ -27,7 +27,7 @@ def facts(model: FittedModel) -> list[str]:
     said = []
     if chain.dt is not None:
         unit = units.get("time", "")
-        said.append(f"The sampling interval is {chain.dt!r}{unit and f' {unit}'}.")
+        said.append(f"The sampling interval is {float(chain.dt)!r}{unit and f' {unit}'}.")
     said += [f"The {name} is in {units[name]}." for name in ("input", "output") if units.get(name)]
     said.append(
         "Before the first sample the input was zero, and so were all states."

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hident as hi
-from hident.block_chain import BlockChain
+from hident.block_chain import Block, BlockChain
 from hident.errors import ConfigError
 from hident.fitted_model import FittedModel
 from hident.linear_blocks import TransferFunction
@@ -215,3 +215,25 @@ def test_without_control_the_message_says_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "control", None)
     with pytest.raises(ConfigError, match=re.escape("pip install 'hident[control]'")):
         hi.to_control(next(examples()))
+
+
+def test_numbers_that_overflow_are_refused_without_a_warning():
+    block = StaticFunction(PiecewiseLinear((0.0, 1e-300)), (-1e300, 1e300))
+    with pytest.raises(ConfigError) as caught:
+        hi.convert(FittedModel(BlockChain((block,))), "python")
+    assert str(caught.value) == "the numbers of N are too large to be converted: a slope or state overflows"
+
+
+@pytest.mark.parametrize("to", ["python", "scipy", "control", "matlab"])
+def test_numbers_of_numpy_are_written_as_numbers(to):
+    blocks: tuple[Block, ...] = (
+        *(
+            StaticFunction(function.basis, tuple(np.array(function.coefficients)))
+            for function in STATIC.values()
+        ),
+        StaticFunction(PiecewiseLinear(tuple(np.array([0.0, 1.0]))), (1.0, 2.0)),
+        StaticFunction(Saturation(np.float64(0.0), np.float64(1.0)), (1.0, 2.0)),
+        TransferFunction(b=tuple(np.array([0.0, 1.0])), a=(np.float64(0.5),)),
+    )
+    source = hi.convert(FittedModel(BlockChain(blocks, dt=np.float64(0.5))), to)
+    assert "float64" not in source

@@ -154,3 +154,22 @@ def test_every_model_can_be_told_in_plain_letters(model):
     said = hi.formulas(model)
     assert said.isascii()
     assert all(f"\n{name}: " in said for name in model.chain.names)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "written"),
+    [
+        (5e-324, 1e-300, "0.0(1.0)e-300 x_k"),
+        (1e308, 1e307, "1.00(10)e+308 x_k"),
+        (np.float64(2.5), np.float64(0.1), "2.50(10) x_k"),
+        (1.0, 1e-300, "x_k"),
+        (1e300, 1.0, "1e+300 x_k"),
+    ],
+)
+def test_numbers_of_any_size_are_written(value, error, written):
+    assert lines_of(TransferFunction(b=(value,)), ({"b_0": error},))[1] == f"  y_k = {written}"
+
+
+def test_what_overflows_is_told_without_a_warning():
+    spline = StaticFunction(CubicSpline((0.0, 1e-300)), (0.0, 1e300, -1e300, 0.0))
+    assert "nan" in "".join(lines_of(spline)) or "inf" in "".join(lines_of(spline))

@@ -172,3 +172,11 @@ def test_a_model_is_converted_to_a_file_or_to_standard_output(folder):
     )
     assert (folder / "my_tank.m").read_text() == hi.convert(MODEL, "matlab", "my_tank")
     assert said(folder, "convert tank.json --to python") == hi.convert(MODEL, "python")
+
+
+def test_what_cannot_be_drawn_is_said(folder):
+    block = StaticFunction(PiecewiseLinear((-1e308, 1e308)), (-1e308, 1e308))
+    hi.write_model(FittedModel(BlockChain((block,))), folder / "tank.json")
+    found = said(folder, "show tank.json --out page", 2)
+    assert found.startswith("error: page/static_functions.png cannot be drawn: numbers are too large (")
+    assert list((folder / "page").iterdir()) == []
