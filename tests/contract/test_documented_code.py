@@ -134,6 +134,7 @@ def test_what_is_said_of_calls_between_the_lines(space, folder, monkeypatch):
     calls = re.findall(r"`((?:hi|results|estimator|estimate)\.[\w.]+\([^`.]*(?:\.csv[^`]*)?\))`", page)
     names = {
         "estimator": hi.Kernel(kernel="gaussian", bandwidth={"h0": 1, "alpha": "1/5"}),
+        "model": hi.load_model("model.json"),
         "estimate": hi.Estimate(linear=hi.TransferFunction(a=(0.5,))),
         "experiment": {**yaml.safe_load(FIRST), "trials": 1},
         "folder": "written",
@@ -143,6 +144,6 @@ def test_what_is_said_of_calls_between_the_lines(space, folder, monkeypatch):
         "y": np.zeros(3),
         "dt": 0.1,
     }
-    assert len(set(calls)) == 15
+    assert len(set(calls)) == 16
     for call in dict.fromkeys(calls):
         eval(call, {**space, **names})
