@@ -12,7 +12,7 @@ from hident.arrays import Array
 from hident.block_chain import BlockChain, Start
 from hident.numerics.parts import in_each
 from hident.records import Record
-from hident.static_functions import StaticFunction
+from hident.static_functions import Basis, Chebyshev, CubicSpline, PiecewiseLinear, StaticFunction
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,16 @@ class NoiseModel:
         from scipy.signal import lfilter
 
         return np.asarray(lfilter(np.r_[1.0, -np.asarray(self.ar)], np.r_[1.0, self.ma], v))
+
+
+def span_of(basis: Basis) -> tuple[float, float] | None:
+    """The range beyond which a basis goes on as a line; None where it has corners alone."""
+    match basis:
+        case Chebyshev():
+            return basis.low, basis.high
+        case PiecewiseLinear() | CubicSpline():
+            return basis.knots[0], basis.knots[-1]
+    return None
 
 
 @dataclass(frozen=True)
@@ -83,7 +93,7 @@ class FittedModel:
         if self.ranges:
             return self.ranges[place]
         block = self.chain.blocks[place]
-        return block.basis.span if isinstance(block, StaticFunction) else None
+        return span_of(block.basis) if isinstance(block, StaticFunction) else None
 
     def predict(self, record: Record, steps: int = 1) -> Array:
         """The output (N,) as predicted from all that was measured up to ``steps`` samples before.

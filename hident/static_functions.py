@@ -30,10 +30,6 @@ class Basis(Protocol):
         """The number K of functions."""
 
     @property
-    def span(self) -> tuple[float, float] | None:
-        """The range beyond which f goes on as a line; None where the functions know none."""
-
-    @property
     def shape(self) -> tuple[float, ...]:
         """What the functions depend on besides x and is estimated with them; mostly nothing."""
 
@@ -92,10 +88,6 @@ class Chebyshev(_Fixed):
     def size(self) -> int:
         return self.degree + 1
 
-    @property
-    def span(self) -> tuple[float, float]:
-        return (self.low, self.high)
-
     def rows(self, x: Array) -> Array:
         t, beyond = self._inside(x)
         rows = np.polynomial.chebyshev.chebvander(t, self.degree).T.copy()
@@ -103,7 +95,7 @@ class Chebyshev(_Fixed):
             # T_k'(1) = k^2, T_k'(-1) = (-1)^(k+1) k^2.
             k = np.arange(self.size, dtype=float)[:, None]
             rows += k**2 * np.where(t < 0.0, -((-1.0) ** k), 1.0) * beyond
-        return np.asarray(rows)
+        return rows
 
     def value(self, coefficients: Array, x: Array) -> Array:
         t, beyond = self._inside(x)
@@ -145,10 +137,6 @@ class PiecewiseLinear(_Fixed):
     @property
     def size(self) -> int:
         return len(self.knots)
-
-    @property
-    def span(self) -> tuple[float, float]:
-        return (self.knots[0], self.knots[-1])
 
     @cached_property
     def _knots(self) -> Array:
@@ -196,10 +184,6 @@ class CubicSpline(_Fixed):
     @property
     def size(self) -> int:
         return len(self.knots) + 2
-
-    @property
-    def span(self) -> tuple[float, float]:
-        return (self.knots[0], self.knots[-1])
 
     @cached_property
     def _knots(self) -> Array:
@@ -250,7 +234,6 @@ class CubicSpline(_Fixed):
 class _Corners:
     low: float
     high: float
-    span: ClassVar[None] = None
 
     @property
     def shape(self) -> tuple[float, ...]:

@@ -8,7 +8,7 @@ from decimal import Decimal
 
 import numpy as np
 
-from hident.fitted_model import FittedModel
+from hident.fitted_model import FittedModel, span_of
 from hident.linear_blocks import MOST_POLES, TransferFunction
 from hident.models.plain_blocks import CubicPieces, as_curve
 from hident.models.source_text import kind_of, wrapped
@@ -174,7 +174,7 @@ def _static(function: StaticFunction, errors: Mapping[str, float]) -> Iterator[s
 
 
 def _ends(function: StaticFunction) -> str:
-    low, high = function.basis.span or (math.nan, math.nan)
+    low, high = span_of(function.basis) or (math.nan, math.nan)
     return f"{low:.{_DIGITS}g} and {high:.{_DIGITS}g}"
 
 

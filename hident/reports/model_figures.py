@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hident.arrays import Array
-from hident.fitted_model import FittedModel
+from hident.fitted_model import FittedModel, span_of
 from hident.linear_blocks import MOST_POLES, TransferFunction
 from hident.models.formulas import time_unit
 from hident.reports.style import ESTIMATE, LINES, TRUE_LEVEL, label_edges, legend_above, panel_rows
@@ -73,7 +73,7 @@ def _static_functions(model: FittedModel) -> Figure:
 def _static_function(axes: Axes, function: StaticFunction, fitted: tuple[float, float] | None) -> None:
     """The curve where it was fitted, and a little beyond: there it is a line that no sample supports."""
     basis: Any = function.basis
-    corners = (basis.low, basis.high) if basis.span is None else basis.span
+    corners = span_of(basis) or (basis.low, basis.high)
     low, high = fitted or corners
     wide = (high - low) or abs(low) or 1.0
     first, last = (low - 0.2 * wide, high + 0.2 * wide) if fitted else (low - wide, high + wide)
