@@ -45,6 +45,7 @@ from hident.estimators.prediction_error.block_specs import SaturationBlock as Sa
 from hident.estimators.prediction_error.prediction_error import PredictionError as PredictionError
 from hident.estimators.voros.voros_hammerstein import VorosHammerstein as VorosHammerstein
 from hident.estimators.voros.voros_wiener import VorosWiener as VorosWiener
+from hident.fitted_model import FittedModel as FittedModel
 from hident.linear_blocks import ContinuousTransferFunction as ContinuousTransferFunction
 from hident.linear_blocks import TransferFunction as TransferFunction
 from hident.measurements.first_look import first_look as first_look
@@ -60,6 +61,10 @@ from hident.metrics.nonlinearity import IntegratedSquaredError as IntegratedSqua
 from hident.metrics.nonlinearity import NonlinearityPercentError as NonlinearityPercentError
 from hident.metrics.values import Coverage as Coverage, Error as Error, PercentError as PercentError
 from hident.metrics.values import Share as Share, TrueValue as TrueValue, Value as Value
+from hident.models.control_export import initial_state as initial_state, to_control as to_control
+from hident.models.convert import convert as convert
+from hident.models.formulas import formulas as formulas
+from hident.models.model_file import load_model as load_model, write_model as write_model
 from hident.records import Estimate as Estimate, Record as Record
 from hident.reports.figures.bode import Bode as Bode
 from hident.reports.figures.curve import Curve as Curve

@@ -40,6 +40,15 @@ class BlockChain:
         return "-".join("L" if isinstance(block, TransferFunction) else "N" for block in self.blocks)
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """What the blocks are called: N and L, numbered where there are several of a kind (N1, L, N2)."""
+        kinds = self.structure.split("-")
+        return tuple(
+            f"{kind}{kinds[: i + 1].count(kind)}" if kinds.count(kind) > 1 else kind
+            for i, kind in enumerate(kinds)
+        )
+
+    @property
     def linear(self) -> tuple[TransferFunction, ...]:
         """The linear blocks, in their order."""
         return tuple(block for block in self.blocks if isinstance(block, TransferFunction))
@@ -78,8 +87,12 @@ class BlockChain:
             if isinstance(block, StaticFunction):
                 signals.append(block(x))
                 continue
+            if not len(x):
+                # lfilter takes no empty signal through a block without feedback.
+                signals.append(x)
+                continue
             b, denominator = np.asarray(block.b, dtype=float), block.denominator
-            state = settled_state(b, denominator) * x[:1] if start == "settled" and len(x) else 0.0
+            state = settled_state(b, denominator) * x[0] if start == "settled" else 0.0
             zi = np.zeros(max(len(b), len(denominator)) - 1) + state + next(rest, 0.0)
             signals.append(np.asarray(lfilter(b, denominator, x, zi=zi)[0]))
         return tuple(signals)

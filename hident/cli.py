@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 import hident
 from hident import arithmetic, console, stopping
 from hident.config.suggest import did_you_mean, one_of
-from hident.errors import Exit, HidentError
+from hident.errors import ConfigError, Exit, HidentError
 
 if TYPE_CHECKING:
     from hident.engine.experiment import Plan
@@ -124,6 +124,7 @@ Gaps = Annotated[
     str | None,
     typer.Option(metavar="error|split", help="A missing sample is an error (the default), or a part's end."),
 ]
+ModelFile = Annotated[Path, typer.Argument(help="A fitted model: model.json.")]
 _STORE, _OUT, _RESULTS = Path(".hident"), Path("out"), Path("results")
 
 
@@ -439,6 +440,55 @@ def export(
 
 
 @app.command()
+def simulate(
+    model: ModelFile,
+    data: Samples,
+    input_name: Annotated[
+        str | None,
+        typer.Option("--input", metavar="COLUMN", help="Column of the input; by default the model's own."),
+    ] = None,
+    compare: Annotated[
+        str | None, typer.Option(metavar="COLUMN", help="Column of a measured output to compare with.")
+    ] = None,
+    dt: Dt = None,
+    time: Time = None,
+    k_step: Annotated[
+        int,
+        typer.Option("--k-step", min=0, help="Predict so many samples ahead from --compare; 0 simulates."),
+    ] = 0,
+    n_init: Annotated[
+        int, typer.Option("--n-init", min=0, help="First samples that the comparison leaves out.")
+    ] = 0,
+    any_dt: Annotated[
+        bool, typer.Option("--any-dt", help="Take samples of another interval as if they were the model's.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.csv", help="Write time, input, output and residual.")
+    ] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw them.")] = None,
+) -> None:
+    """Simulate a fitted model.
+
+    What was measured can stand beside it, and is compared.
+    """
+    from hident.commands.models import simulate_model
+
+    simulate_model(
+        model,
+        data,
+        input_name=input_name,
+        compare=compare,
+        dt=dt,
+        time=time,
+        steps=k_step,
+        n_init=n_init,
+        any_dt=any_dt,
+        out=out,
+        plot=plot,
+    )
+
+
+@app.command()
 def show(
     files: Samples,
     input_: InputColumn = None,
@@ -453,10 +503,16 @@ def show(
     gaps: Gaps = None,
     out: Annotated[Path | None, typer.Option(help="Folder to write the figures to.")] = None,
 ) -> None:
-    """Show what a measured record is like, and what is wrong with it.
+    """Show what is in a file: a measured record, or a fitted model.
 
-    Signals, delay, and which nonlinearities the input can excite; figures with --out.
+    Of a record: signals, delay, which nonlinearities the input can excite, and what is wrong with it. Of a
+    model (.json): its blocks as formulas. Figures with --out.
     """
+    if len(files) == 1 and files[0].suffix.lower() == ".json":
+        from hident.commands.models import print_model
+
+        print_model(files[0], out)
+        return
     from hident.commands.looking import show
 
     code = show(
@@ -474,6 +530,21 @@ def show(
         gaps=gaps,
     )
     raise typer.Exit(code)
+
+
+@app.command()
+def convert(
+    model: ModelFile,
+    to: Annotated[str, typer.Option(metavar="NAME", help="python, scipy, control or matlab.")],
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Where to; printed by default.")] = None,
+) -> None:
+    """Write a fitted model as source code.
+
+    The program that it is for gives the same response.
+    """
+    from hident.commands.models import convert_model
+
+    convert_model(model, to, out)
 
 
 @app.command()

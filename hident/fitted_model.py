@@ -12,6 +12,7 @@ from hident.arrays import Array
 from hident.block_chain import BlockChain, Start
 from hident.numerics.parts import in_each
 from hident.records import Record
+from hident.static_functions import StaticFunction
 
 
 @dataclass(frozen=True)
@@ -33,23 +34,57 @@ class NoiseModel:
         return np.asarray(lfilter(np.r_[1.0, -np.asarray(self.ar)], np.r_[1.0, self.ma], v))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class FittedModel:
     """A chain, how it starts, its noise, and what is known of how it was made.
 
     ``errors`` holds the standard errors of each block's numbers by their names (``b_0``, ``a_1``, ``c_1``,
-    ...), ``about`` what a reader of the model should know: the record, its hash, units, the method.
+    ``low``, ...) as far as they are known, ``ranges`` the least and the greatest input of each block in the
+    fit, and ``about`` what a reader of the model should know: the record, its hash, units, the method (see
+    :mod:`hident.models.model_file`).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import hident as hi
+    >>> chain = BlockChain((hi.TransferFunction(b=(0.0, 0.5), a=(0.5,)),), dt=4.0)
+    >>> model = hi.FittedModel(chain, start="rest")
+    >>> model.simulate(np.array([1.0, 1.0, 0.0]))
+    array([0.  , 0.5 , 0.75])
     """
 
     chain: BlockChain
     start: Start = "settled"
     noise: NoiseModel = NoiseModel()
     errors: tuple[Mapping[str, float], ...] = ()
+    ranges: tuple[tuple[float, float], ...] = ()
     about: Mapping[str, Any] = field(default_factory=dict)
 
-    def simulate(self, record: Record) -> Array:
-        """The noise-free output (N,) to the record's input; each of its experiments begins anew."""
+    def simulate(self, record: Record | Array) -> Array:
+        """The noise-free output (N,) to a record's input, or to an input (N,).
+
+        Each of the experiments of a record begins anew.
+        """
+        if not isinstance(record, Record):
+            return self.chain.response(record, self.start)
         return in_each(record.experiments, lambda u: self.chain.response(u, self.start), record.u)
+
+    def signals(self, record: Record) -> tuple[Array, ...]:
+        """The record's input (N,) and what stands behind each block; see :meth:`simulate`."""
+        return tuple(
+            np.concatenate(pieces)
+            for pieces in zip(
+                *(self.chain.signals(record.u[part], self.start) for part in record.experiments), strict=True
+            )
+        )
+
+    def range_of(self, place: int) -> tuple[float, float] | None:
+        """Where the block at this place was fitted: its inputs then, or else what its basis spans."""
+        if self.ranges:
+            return self.ranges[place]
+        block = self.chain.blocks[place]
+        # Corners are no range: beyond them is where the function acts.
+        return block.range if isinstance(block, StaticFunction) and not block.basis.shape else None
 
     def predict(self, record: Record, steps: int = 1) -> Array:
         """The output (N,) as predicted from all that was measured up to ``steps`` samples before.

@@ -53,7 +53,8 @@ def _sum(terms: Array) -> float:
     return total if abs(total) > ROUNDING * float(np.sum(np.abs(terms))) else 0.0
 
 
-def _control() -> Any:
+def python_control() -> Any:
+    """The module ``control``; ConfigError if it is not installed."""
     try:
         import control
     except ImportError:
@@ -183,7 +184,7 @@ class TransferFunction:
         """The block as a :class:`scipy.signal.dlti` with sampling interval ``dt``, of the same response."""
         from scipy.signal import dlti
 
-        return dlti(*self._in_z(), dt=dt)
+        return dlti(*self.in_z(), dt=dt)
 
     def to_control(self, dt: float = 1.0) -> Any:
         """The block as a :class:`control.TransferFunction` with sampling interval ``dt``.
@@ -193,9 +194,9 @@ class TransferFunction:
         ConfigError
             If python-control is not installed.
         """
-        return _control().TransferFunction(*self._in_z(), dt)
+        return python_control().TransferFunction(*self.in_z(), dt)
 
-    def _in_z(self) -> tuple[Array, Array]:
+    def in_z(self) -> tuple[Array, Array]:
         """Numerator and denominator by falling power of z: times z^l, where q^-l is their last power."""
         length = max(len(self.b), len(self.a) + 1)
         top, bottom = (np.pad(c, (0, length - len(c))) for c in (self.b, self.denominator))
@@ -279,7 +280,7 @@ class ContinuousTransferFunction:
         ConfigError
             If it has a delay, which that cannot hold, or python-control is not installed.
         """
-        return _control().TransferFunction(*self._in_s("a control.TransferFunction", "to_control"))
+        return python_control().TransferFunction(*self._in_s("a control.TransferFunction", "to_control"))
 
     def _in_s(self, target: str, method: str) -> tuple[Array, Array]:
         """Numerator and denominator by falling power of s, of a block without delay."""

@@ -13,7 +13,8 @@ from hident.config.suggest import one_of
 from hident.engine.experiment import Plan
 from hident.engine.runner import complete, stored
 from hident.engine.store import Reader, Store
-from hident.errors import ConfigError, Exit, StoreError
+from hident.errors import ConfigError, Exit
+from hident.new_files import replacing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -96,18 +97,12 @@ def export(plan: Plan, folder: Path, file: Path) -> str:
     """Write the stored trials of a plan to CSV or Parquet; returns a line that says so."""
     if file.suffix not in (".csv", ".parquet"):
         raise ConfigError(f"{file}: the name must end in .csv or .parquet")
-    temporary = file.with_name(f".{file.name}.part")
     try:
-        with Store(folder).reading() as reader:
-            rows = (_write_csv if file.suffix == ".csv" else _write_parquet)(temporary, _frames(plan, reader))
+        with replacing(file) as new, Store(folder).reading() as reader:
+            rows = (_write_csv if file.suffix == ".csv" else _write_parquet)(new, _frames(plan, reader))
             done = sum(complete(reader, keys.values(), plan.trials) for keys in plan.keys)
-        temporary.replace(file)
     except ImportError:
         raise ConfigError("writing Parquet needs pyarrow: pip install 'hident[parquet]'") from None
-    except OSError as error:
-        raise StoreError(f"{file} cannot be written: {(error.strerror or str(error)).lower()}") from None
-    finally:
-        temporary.unlink(missing_ok=True)
     missing = plan.trials * len(plan.units) - done
     said = f"; {missing} trials are not computed yet (hident run)" if missing else ""
     return f"{file}: {rows} rows of {done} trials{said}"

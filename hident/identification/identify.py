@@ -34,8 +34,8 @@ _MOST_LINEAR, _MORE_LINEAR, _MANY = 4, 8, 5000
 class Trial:
     """A chain that was tried, and its fit; ``reason`` says why there is none.
 
-    ``estimation`` is the root mean squared error that was fitted, ``validation`` the squared errors (M,) of the
-    simulation of the samples kept apart.
+    ``estimation`` is the root mean squared error that was fitted, ``validation`` the squared errors (M,) of
+    the simulation of the samples kept apart.
     """
 
     structure: str

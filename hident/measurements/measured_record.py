@@ -215,6 +215,21 @@ class MeasuredRecord(Spec):
         ConfigError
             If a file cannot be read, or its samples do not suit.
         """
+        selections = [self] if self.validation is None else [self, self.validation]
+        for one in selections:
+            if same := set(map(str, one.input or self.input)) & set(map(str, one.output or self.output)):
+                raise ConfigError(f"the input and the output are one column, '{min(same)}'")
+        with np.errstate(all="ignore"):
+            return self._read(folder)
+
+    def read_input(self, folder: Path) -> Record:
+        """The record of an input alone: its output is the column that ``output`` names, which may be the same.
+
+        Raises
+        ------
+        ConfigError
+            As :meth:`read`.
+        """
         with np.errstate(all="ignore"):
             return self._read(folder)
 
@@ -269,9 +284,6 @@ class MeasuredRecord(Spec):
                 "output": selection.output or self.output,
             }
         )
-        for _, signal, output in chosen:
-            if str(signal) == str(output):
-                raise ConfigError(f"the input and the output are one column, '{signal}'")
         return [
             one
             for name, (file, *signals) in zip(_names(chosen), chosen, strict=True)

@@ -40,7 +40,9 @@ _VERBS = (
     "verify",
     "schema",
     "export",
+    "simulate",
     "show",
+    "convert",
     "doctor",
 )
 _PUBLISHED = {

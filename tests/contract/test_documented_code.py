@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 import hident as hi
+from hident.block_chain import BlockChain
 from tests.documented import ROOT, blocks, commands
 from tests.forked import run_forked
 
@@ -38,6 +39,9 @@ ADDED = {
     "hident compare": "mine mine",
     "hident verify": "results",
     "hident export": "my.yaml trials.csv --trials 2",
+    "hident simulate": "model.json valve.csv --input u",
+    "hident show": "model.json",
+    "hident convert": "model.json --to python",
 }
 # A decision about results/, which has its own tests, and what takes a shell.
 NOT_RUN = {"hident accept", "hident accept <config>", "hident list | head -1"}
@@ -56,6 +60,9 @@ def folder(tmp_path_factory):
     for name in ("configs", "experiments", "results"):
         (folder / name).symlink_to(ROOT / name)
     (folder / "my.yaml").write_text(FIRST, encoding="utf-8")
+    tank = hi.TransferFunction(b=(0.0, 0.5), a=(0.5,))
+    hi.write_model(hi.FittedModel(BlockChain((tank,))), folder / "model.json")
+    (folder / "valve.csv").write_text("u\n1\n2\n", encoding="utf-8")
     (folder / "my_estimators.py").write_text(ESTIMATOR, encoding="utf-8")
     (folder / "data.csv").write_text("u,y\n0,1\n1,2\n", encoding="utf-8")
     return folder
@@ -128,6 +135,7 @@ def test_what_is_said_of_calls_between_the_lines(space, folder, monkeypatch):
     calls = re.findall(r"`((?:hi|results|estimator|estimate)\.[\w.]+\([^`.]*(?:\.csv[^`]*)?\))`", page)
     names = {
         "estimator": hi.Kernel(kernel="gaussian", bandwidth={"h0": 1, "alpha": "1/5"}),
+        "model": hi.load_model("model.json"),
         "estimate": hi.Estimate(linear=hi.TransferFunction(a=(0.5,))),
         "experiment": {**yaml.safe_load(FIRST), "trials": 1},
         "folder": "written",

@@ -22,8 +22,9 @@ LAYERS = (
     ("ledger",),
     ("run_folder",),
     ("engine",),
+    ("identification",),
     ("estimators", "metrics"),
-    ("signals",),
+    ("signals", "models"),
     ("systems", "measurements", "fitted_model"),
     ("records", "plugins"),
     ("block_chain",),
@@ -33,6 +34,7 @@ LAYERS = (
     ("config",),
     ("__init__",),
     ("arithmetic",),
+    ("new_files",),
     ("errors", "stopping"),
 )
 HEIGHT = {room: -level for level, rooms in enumerate(LAYERS) for room in rooms}

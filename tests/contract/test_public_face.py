@@ -47,7 +47,9 @@ COUNTERPARTS = {
     "verify": "verify",
     "schema": "schema",
     "export": "Results.trials_frame",
+    "simulate": "FittedModel.simulate",
     "show": "first_look",
+    "convert": "convert",
     "doctor": "examine",
 }
 

@@ -1,0 +1,250 @@
+"""What is done with a fitted model: the verbs simulate and convert, and show for a model."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hident.arrays import Array
+from hident.commands.measured import record_of
+from hident.errors import ConfigError, StoreError
+from hident.fitted_model import FittedModel
+from hident.models.convert import target
+from hident.models.formulas import formulas, time_unit
+from hident.models.model_file import load_model
+from hident.new_files import replacing
+from hident.records import Record
+from hident.static_functions import StaticFunction
+
+# Times written with a few digits give an interval that is off by their rounding.
+_SAME_INTERVAL = 1e-3
+# A signal computed again is off by rounding, which is not beyond a range.
+_ROUNDING = 1e-9
+
+
+def print_model(file: Path, out: Path | None) -> None:
+    """Print the formulas of a model, and write its figures to a folder if one is given."""
+    model = load_model(file)
+    print(formulas(model))
+    if out is not None:
+        names = _draw(model, out)
+        print(f"\n{out}: {', '.join(names)}")
+
+
+def _draw(model: FittedModel, folder: Path) -> list[str]:
+    from hident.reports.model_figures import figures
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"{folder} cannot be made: {(error.strerror or str(error)).lower()}") from None
+    found = figures(model)
+    for name, draw in found.items():
+        _save(folder / name, draw)
+    return list(found)
+
+
+def _save(path: Path, draw: Any) -> None:
+    from hident.reports.style import style, typeset
+
+    with style(), replacing(path) as new, np.errstate(all="ignore"):
+        try:
+            figure = draw()
+            typeset(figure)
+            figure.savefig(new, format="png", metadata={"Software": None})
+        except (ValueError, OverflowError, np.linalg.LinAlgError) as error:
+            raise ConfigError(f"{path} cannot be drawn: numbers are too large ({error})") from None
+
+
+def convert_model(file: Path, to: str, out: Path | None) -> None:
+    """Print the source that a model is converted to, or write it to a file."""
+    wanted = target(to)
+    model = load_model(file)
+    if out is None:
+        print(wanted.source(model, "response"), end="")
+        return
+    if out.suffix != wanted.suffix:
+        raise ConfigError(f"{out}: the name must end in {wanted.suffix} (--to {to})")
+    source = wanted.source(model, out.stem)
+    with replacing(out) as new:
+        new.write_text(source, encoding="utf-8")
+    print(f"{out}: {wanted.meaning}")
+
+
+def simulate_model(
+    file: Path,
+    files: Sequence[Path],
+    *,
+    input_name: str | None,
+    compare: str | None,
+    dt: str | None,
+    time: str | None,
+    steps: int,
+    n_init: int,
+    any_dt: bool,
+    out: Path | None,
+    plot: Path | None,
+) -> None:
+    """Print what a model makes of a record's input, and write it to files if they are given."""
+    for path, suffix in ((out, ".csv"), (plot, ".png")):
+        if path is not None and path.suffix != suffix:
+            raise ConfigError(f"{path}: the name must end in {suffix}")
+    if steps and compare is None:
+        raise ConfigError("--k-step predicts from measured outputs: name their column by --compare")
+    model = load_model(file)
+    column = input_name or model.about.get("input")
+    if not column:
+        raise ConfigError(f"{file} does not say which column its input is: name it by --input")
+    record = _record(files, column, compare, dt, time)
+    data = ", ".join(map(str, files))
+    if not any_dt:
+        _check_interval(record, model, data)
+    run = _Run(model, record, column, compare, steps, n_init)
+    run.check(data)
+    for line in run.warnings():
+        print(f"warning: {line}", file=sys.stderr)
+    if out is not None:
+        run.write(out)
+    if plot is not None:
+        _save(plot, run.figure)
+    for line in run.said(data):
+        print(line)
+    for path in filter(None, (out, plot)):
+        print(f"written: {path}")
+
+
+def _record(
+    files: Sequence[Path], column: str, compare: str | None, dt: str | None, time: str | None
+) -> Record:
+    """The record of some files; without a column to compare with, its output means nothing."""
+    spec = record_of(files, input=column, output=compare or column, dt=dt, time=time)
+    return spec.read_input(Path()) if compare is None else spec.read(Path())
+
+
+def _check_interval(record: Record, model: FittedModel, data: str) -> None:
+    """ConfigError if the samples are known to come at another interval than those of the fit."""
+    wanted = model.chain.dt
+    if record.dt is None or wanted is None:
+        return
+    if abs(record.dt - wanted) > _SAME_INTERVAL * wanted:
+        raise ConfigError(
+            f"{data} is sampled every {record.dt:g}, and the model was fitted to samples every {wanted:g}: "
+            "resample the input, or ask for it as it stands by --any-dt"
+        )
+
+
+class _Run:
+    """A record and what the model makes of it."""
+
+    def __init__(
+        self, model: FittedModel, record: Record, column: str, compare: str | None, steps: int, n_init: int
+    ) -> None:
+        self.model, self.record, self.column, self.compare = model, record, column, compare
+        self.steps, self.n_init = steps, n_init
+        with np.errstate(all="ignore"):
+            self.signals = model.signals(record)
+            self.made = model.predict(record, steps) if steps else self.signals[-1]
+        self.how = f"{steps}-step prediction" if steps else "simulation"
+
+    def check(self, data: str) -> None:
+        """ConfigError if the output is not finite, or too few samples are left to compare."""
+        if len(wrong := np.flatnonzero(~np.isfinite(self.made))):
+            raise ConfigError(
+                f"{data}: the model's output to this input is not finite from sample {wrong[0]} on"
+            )
+        if self.compare is not None and not np.any(self._counted()):
+            raise ConfigError(
+                f"{data}: --n-init {self.n_init} leaves no sample to compare (of {len(self.record)})"
+            )
+
+    def _counted(self) -> Any:
+        counted = np.full(len(self.record), True)
+        for part in self.record.experiments:
+            counted[part.start : min(part.start + self.n_init, part.stop)] = False
+        return counted
+
+    def warnings(self) -> list[str]:
+        """Where the input of a static block leaves the range on which it was fitted, in words."""
+        found = []
+        for i, (name, block) in enumerate(zip(self.model.chain.names, self.model.chain.blocks, strict=True)):
+            fitted = self.model.range_of(i)
+            if not isinstance(block, StaticFunction) or fitted is None:
+                continue
+            x, slack = self.signals[i], _ROUNDING * max(map(abs, fitted))
+            beyond = int(np.sum((x < fitted[0] - slack) | (x > fitted[1] + slack)))
+            if beyond:
+                found.append(
+                    f"{beyond} of {len(x)} samples ({_percent(beyond / len(x))}) of the input of {name} lie "
+                    f"beyond {fitted[0]:.4g} to {fitted[1]:.4g}, where it was fitted (here {x.min():.4g} to "
+                    f"{x.max():.4g}): no measurement supports the model there"
+                )
+        return found
+
+    def said(self, data: str) -> list[str]:
+        """A summary for people."""
+        chain, made, unit = self.model.chain, self.made, self._unit()
+        lines = [
+            f"{data}: {len(made)} samples of '{self.column}', {self.how} by {chain.structure}",
+            f"output from {made.min():.5g} to {made.max():.5g}{unit}, mean {made.mean():.5g}",
+        ]
+        if self.compare is not None:
+            counted = self._counted()
+            left_out = f", without the first {self.n_init} samples" if self.n_init else ""
+            found = self._scores(self.record.y[counted], made[counted])
+            lines.append(f"against '{self.compare}' ({self.how}{left_out}): {found}")
+        return lines
+
+    def _unit(self) -> str:
+        unit = self.model.about.get("units", {}).get("output", "")
+        return f" {unit}" if unit else ""
+
+    def _scores(self, y: Array, made: Array) -> str:
+        """By the definitions of nonlinear_benchmarks: NRMSE = RMSE/std(y), fit = 100 (1 - NRMSE)."""
+        with np.errstate(over="ignore"):
+            rmse, spread = float(np.sqrt(np.mean((y - made) ** 2))), float(np.std(y))
+        if spread == 0.0:
+            return f"RMSE {rmse:.5g}{self._unit()} ('{self.compare}' is constant: no NRMSE)"
+        nrmse = rmse / spread
+        return f"RMSE {rmse:.5g}{self._unit()}, NRMSE {nrmse:.4g}, fit {100.0 * (1.0 - nrmse):.2f} %"
+
+    def time(self) -> Array:
+        """From the first sample of each experiment on, in samples if no interval is known."""
+        dt = self.record.dt or self.model.chain.dt or 1.0
+        lengths = [part.stop - part.start for part in self.record.experiments]
+        return dt * np.concatenate([np.arange(length, dtype=float) for length in lengths])
+
+    def write(self, out: Path) -> None:
+        """Write time, input and output, and what they are compared with, to a CSV file."""
+        columns = {"time": self.time(), self.column: self.record.u}
+        columns["predicted" if self.steps else "simulated"] = self.made
+        if self.compare is not None:
+            columns |= {self.compare: self.record.y, "residual": self.record.y - self.made}
+        with replacing(out) as new, new.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(columns)
+            writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
+
+    def figure(self) -> Any:
+        """The output over time."""
+        from hident.reports.model_figures import comparison
+
+        units = self.model.about.get("units", {})
+        unit = time_unit(self.model)
+        known = self.record.dt is not None or self.model.chain.dt is not None
+        time = self.time() if len(self.record.experiments) == 1 else np.arange(len(self.record), dtype=float)
+        label = f"time ({unit})" if known and unit else "time" if known else "sample"
+        names = [
+            name + (f" ({units[side]})" if units.get(side) else "")
+            for name, side in ((self.column, "input"), (self.compare or "output", "output"))
+        ]
+        y = None if self.compare is None else self.record.y
+        return comparison(time, label, self.record.u, self.made, y, (names[0], names[1], self.how))
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f} %" if share >= 1e-3 else "under 0.1 %"

@@ -1,0 +1,1 @@
+"""What is done with a fitted model: its file, and what other programs are told of it."""

@@ -1,0 +1,176 @@
+"""A model for python-control: a system in discrete time, or a module that builds it."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from hident.arrays import Array
+from hident.fitted_model import FittedModel
+from hident.linear_blocks import TransferFunction, python_control
+from hident.models.plain_blocks import Filter, PlainBlock, as_filter, plain_blocks
+from hident.models.python_source import CURVES, as_rows, call, curves, head, joined, numbers
+from hident.models.source_text import kind_of
+
+_SYSTEM = "system() is the model as a system of python-control."
+_START = "control.input_output_response(system(), t, u, initial_state(u[0])) is its response."
+_PRODUCT = '''\
+def system():
+    """The product of the linear blocks."""
+    return (
+        %s
+    )
+'''
+_BLOCKS = '''\
+def linear(name, b, a, state):
+    """The filter sum_i a[i] y[k-i] = sum_i b[i] x[k-i], in direct form II transposed."""
+    A, B = np.eye(len(state), k=1), np.subtract(b[1:], np.multiply(b[0], a[1:]))
+    A[:, 0] -= a[1:]
+    C = np.eye(1, len(state))
+    return control.ss(A, B[:, None], C, b[0], DT, inputs=["u"], outputs=["y"], name=name)
+
+
+def static(name, function):
+    """A system without states."""
+    return control.NonlinearIOSystem(
+        None, lambda t, x, u, params: function(u), inputs=["u"], outputs=["y"], dt=DT, name=name
+    )
+
+
+def system():
+    """The blocks one after the other, each a subsystem of its name."""
+    names = list(BLOCKS)
+    blocks = [(linear(name, **b) if isinstance(b, dict) else static(name, b)) for name, b in BLOCKS.items()]
+    if len(blocks) == 1:
+        return blocks[0]
+    return control.interconnect(
+        blocks,
+        [[f"{after}.u", f"{before}.y"] for before, after in zip(names, names[1:])],
+        inplist=[f"{names[0]}.u"],
+        outlist=[f"{names[-1]}.y"],
+        inputs=["u"],
+        outputs=["y"],
+    )
+
+
+def initial_state(first):
+    """The state at the first sample, to an input that begins with this value."""
+    x, states = np.array([float(first)]), [np.zeros(0)]
+    for block in BLOCKS.values():
+        if isinstance(block, dict):
+            states.append(np.multiply(block["state"], x))
+            x = (block["b"][0] + block["state"][0]) * x
+        else:
+            x = block(x)
+    return np.concatenate(states)
+'''
+
+
+def to_control(model: FittedModel) -> Any:
+    """The model as a system of python-control, in discrete time.
+
+    A chain of linear blocks is a :class:`control.TransferFunction`, any other a
+    :class:`control.NonlinearIOSystem` whose subsystems are the blocks, by their names. How the model starts
+    is no part of a system: ``X0=initial_state(model, u[0])`` tells ``control.input_output_response``.
+
+    Raises
+    ------
+    ConfigError
+        If python-control is not installed.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> from hident.block_chain import BlockChain
+    >>> block = hi.TransferFunction(b=(0.0, 0.5), a=(0.5,))
+    >>> to_control(hi.FittedModel(BlockChain((block, block), dt=4.0))).poles().real
+    array([0.5, 0.5])
+    """
+    control, chain = python_control(), model.chain
+    dt: Any = True if chain.dt is None else chain.dt
+    if not chain.static:
+        system = control.TransferFunction([1.0], [1.0], dt)
+        for block in chain.linear:
+            system = system * block.to_control(dt)
+        return system
+    blocks = [
+        _state_space(as_filter(block, settled=False), dt, name)
+        if isinstance(block, TransferFunction)
+        else control.NonlinearIOSystem(
+            None,
+            lambda t, x, u, params, block=block: block(u),
+            inputs=["u"],
+            outputs=["y"],
+            dt=dt,
+            name=name,
+        )
+        for name, block in zip(chain.names, chain.blocks, strict=True)
+    ]
+    if len(blocks) == 1:
+        return blocks[0]
+    return control.interconnect(
+        blocks,
+        [[f"{after}.u", f"{before}.y"] for before, after in pairwise(chain.names)],
+        inplist=[f"{chain.names[0]}.u"],
+        outlist=[f"{chain.names[-1]}.y"],
+        inputs=["u"],
+        outputs=["y"],
+    )
+
+
+def initial_state(model: FittedModel, first: float) -> Array:
+    """The state of :func:`to_control`'s system at the first sample, to an input that begins with ``first``.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> from hident.block_chain import BlockChain
+    >>> initial_state(hi.FittedModel(BlockChain((hi.TransferFunction(b=(0.0, 0.5), a=(0.5,)),))), 3.0)
+    array([3.])
+    """
+    states, x = [np.zeros(0)], np.array([float(first)])
+    for before, block in zip(model.chain.signals(x, model.start)[:-1], model.chain.blocks, strict=True):
+        if isinstance(block, TransferFunction):
+            states.append(np.multiply(as_filter(block, settled=model.start == "settled").state, before[0]))
+    return np.concatenate(states)
+
+
+def control_source(model: FittedModel) -> str:
+    """Source of a module with a function ``system()`` that builds the system of :func:`to_control`."""
+    blocks, chain = plain_blocks(model), model.chain
+    interval = f"DT = {True if chain.dt is None else float(chain.dt)!r}\n"
+    if not chain.static:
+        rows = [as_rows(block) for block in chain.linear]
+        factors = [call("control.TransferFunction", (*row, "DT"), {}, " " * 8) for row in rows]
+        product = "\n        * ".join(factors)
+        return joined(
+            f"{head(model, [_SYSTEM])}import control\n\n{interval}",
+            _PRODUCT % product,
+        )
+    made = "".join(
+        f'    "{name}": {_entry(plain)},  # {kind_of(block)}\n'
+        for name, block, plain in zip(chain.names, chain.blocks, blocks, strict=True)
+    )
+    return joined(
+        f"{head(model, [_SYSTEM, _START])}import control\nimport numpy as np\n\n{interval}",
+        *curves(blocks),
+        f"BLOCKS = {{\n{made}}}\n",
+        _BLOCKS,
+    )
+
+
+def _entry(plain: PlainBlock) -> str:
+    if isinstance(plain, Filter):
+        return call("dict", (), numbers(plain), "    ")
+    return f"lambda x: {call(CURVES[type(plain)][0], ['x'], numbers(plain), '    ')}"
+
+
+def _state_space(block: Filter, dt: Any, name: str) -> Any:
+    """The filter in direct form II transposed, whose state is that of :class:`Filter`."""
+    b, a = np.asarray(block.b), np.asarray(block.a)
+    A = np.eye(len(block.state), k=1)
+    A[:, 0] -= a[1:]
+    B, C = (b[1:] - b[0] * a[1:])[:, None], np.eye(1, len(A))
+    return python_control().ss(A, B, C, b[0], dt, inputs=["u"], outputs=["y"], name=name)

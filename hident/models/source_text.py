@@ -1,0 +1,64 @@
+"""What the sources that models are converted to have in common: their head, and how numbers are written."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable
+
+import hident
+from hident.block_chain import Block
+from hident.fitted_model import FittedModel
+from hident.linear_blocks import TransferFunction
+
+WIDTH = 100
+
+
+def title(model: FittedModel) -> str:
+    """One line on what the model is."""
+    about = model.about
+    signals = f" from '{about['input']}' to '{about['output']}'" if {"input", "output"} <= {*about} else ""
+    return f"A block-oriented model{signals}: {model.chain.structure}."
+
+
+def facts(model: FittedModel) -> list[str]:
+    """Sentences on how the model is to be used, and where it comes from."""
+    about, chain = model.about, model.chain
+    units = about.get("units", {})
+    said = []
+    if chain.dt is not None:
+        unit = units.get("time", "")
+        said.append(f"The sampling interval is {float(chain.dt)!r}{unit and f' {unit}'}.")
+    said += [f"The {name} is in {units[name]}." for name in ("input", "output") if units.get(name)]
+    said.append(
+        "Before the first sample the input was zero, and so were all states."
+        if model.start == "rest"
+        else "Before the first sample the input was its first value, and all blocks had settled to it."
+    )
+    said += [f"Fitted to {name} (SHA-256 {digest})." for name, digest in about.get("data", {}).items()]
+    return [*said, f"Written by hident {hident.__version__}."]
+
+
+def kind_of(block: Block) -> str:
+    """The kind of a block in words."""
+    if isinstance(block, TransferFunction):
+        return "linear"
+    return block.basis.kind.replace("_", " ")
+
+
+def one_line(text: str) -> str:
+    """A text from a model's file where source code must not end: no line breaks, quotes or backslashes."""
+    printed = "".join(letter if letter.isprintable() else "?" for letter in " ".join(text.split()))
+    return printed.translate({ord('"'): "'", ord("\\"): "/"})
+
+
+def wrapped(words: Iterable[str], indent: str, end: str = "") -> str:
+    """Words with commas between, in lines; ``end`` is what continues a line."""
+    lines = textwrap.wrap(
+        ", ".join(words),
+        WIDTH - len(end),
+        initial_indent=indent,
+        subsequent_indent=indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return f"{end}\n".join(lines)

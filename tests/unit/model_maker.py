@@ -1,0 +1,77 @@
+"""Random chains of every kind of block, for tests of what is done with a model."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+from hident.block_chain import BlockChain
+from hident.fitted_model import FittedModel, NoiseModel
+from hident.linear_blocks import TransferFunction
+from hident.static_functions import (
+    Chebyshev,
+    CubicSpline,
+    DeadZone,
+    PiecewiseLinear,
+    Saturation,
+    StaticFunction,
+)
+
+ORDERS = ("L", "N", "N-L", "L-N", "L-N-L", "N-L-N", "L-N-L-N-L", "N-N", "L-L")
+COEFFICIENTS = st.floats(-3.0, 3.0)
+
+
+@st.composite
+def linear_blocks(draw):
+    """A stable block, with a delay, without feedback or with up to two pairs of poles."""
+    # scipy warns of a first coefficient that is next to nothing.
+    first = draw(st.floats(0.1, 3.0) | st.floats(-3.0, -0.1))
+    b = [0.0] * draw(st.integers(0, 3)) + [first] + draw(st.lists(COEFFICIENTS, max_size=3))
+    denominator = np.ones(1)
+    for _ in range(draw(st.integers(0, 2))):
+        radius, angle = draw(st.floats(0.0, 0.95)), draw(st.floats(0.0, np.pi))
+        denominator = np.convolve(denominator, [1.0, -2.0 * radius * np.cos(angle), radius**2])
+    return TransferFunction(b=tuple(b), a=tuple((-denominator[1:]).tolist()))
+
+
+@st.composite
+def increasing(draw, fewest, most):
+    """Numbers that are at least a tenth apart."""
+    steps = draw(st.lists(st.floats(0.1, 2.0), min_size=fewest, max_size=most))
+    return tuple((draw(st.floats(-3.0, 0.0)) + np.cumsum(steps)).tolist())
+
+
+@st.composite
+def bases(draw):
+    """A basis of any kind."""
+    kind = draw(st.sampled_from([Chebyshev, PiecewiseLinear, CubicSpline, Saturation, DeadZone]))
+    if kind in (PiecewiseLinear, CubicSpline):
+        return kind(draw(increasing(2, 7)))
+    low, high = draw(increasing(2, 2))
+    return Chebyshev(draw(st.integers(0, 8)), low, high) if kind is Chebyshev else kind(low, high)
+
+
+@st.composite
+def static_functions(draw):
+    """A function by a basis of any kind."""
+    basis = draw(bases())
+    return StaticFunction(
+        basis, tuple(draw(st.lists(COEFFICIENTS, min_size=basis.size, max_size=basis.size)))
+    )
+
+
+@st.composite
+def models(draw, orders=ORDERS):
+    """A model of any order of blocks, with or without what may be left out."""
+    kinds = draw(st.sampled_from(orders)).split("-")
+    blocks = tuple(draw(linear_blocks() if kind == "L" else static_functions()) for kind in kinds)
+    known = draw(st.booleans())
+    return FittedModel(
+        BlockChain(blocks, dt=draw(st.none() | st.floats(1e-6, 1e6))),
+        start=draw(st.sampled_from(["rest", "settled"])),
+        noise=NoiseModel((0.5,) * draw(st.integers(0, 2)), (-0.25,) * draw(st.integers(0, 2)), 1 / 3),
+        errors=tuple({_first_number(block): draw(st.floats(0.0, 1e3))} for block in blocks) if known else (),
+        ranges=tuple((-1.0, draw(st.floats(-1.0, 1e3))) for _ in blocks) if known else (),
+    )
+
+
+def _first_number(block):
+    return "b_0" if isinstance(block, TransferFunction) else "c_1"

@@ -1,0 +1,182 @@
+"""The verbs simulate, show and convert: what they print and write, and what they refuse."""
+
+import csv
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import hident as hi
+from hident.block_chain import BlockChain
+from hident.fitted_model import FittedModel, NoiseModel
+from hident.linear_blocks import TransferFunction
+from hident.static_functions import DeadZone, PiecewiseLinear, StaticFunction
+from tests.forked import run_forked
+
+VALVE = StaticFunction(PiecewiseLinear((1.0, 2.0, 4.0)), (0.0, 1.2, 2.4))
+TANK = TransferFunction(b=(0.0, 0.2), a=(0.8,))
+MODEL = FittedModel(
+    BlockChain((VALVE, TANK), dt=4.0),
+    start="settled",
+    noise=NoiseModel(ar=(0.9,), variance=0.01),
+    ranges=((1.2, 3.9), (0.2, 2.4)),
+    about={"input": "u", "units": {"input": "V", "output": "m", "time": "s"}},
+)
+U = np.repeat(np.random.default_rng(1).uniform(1.3, 3.8, 12), 5)
+Y = MODEL.simulate(U) + 0.1 * np.sin(np.arange(len(U)))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    hi.write_model(MODEL, tmp_path / "tank.json")
+    save(tmp_path / "tank.csv", t=4.0 * np.arange(len(U)), u=U, y=Y)
+    return tmp_path
+
+
+def save(path, **columns):
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
+
+
+def said(folder, command, code=0):
+    """What a command printed: standard output if it is fine, or else what it said of the fault."""
+    done = run_forked(command.split(), folder)
+    assert done.returncode == code, (done.stdout, done.stderr)
+    return done.stderr if code else done.stdout
+
+
+def test_a_simulation_is_told_and_written(folder):
+    shown = said(folder, "simulate tank.json tank.csv --compare y --time t --out sim.csv --plot sim.png")
+    residual = Y - MODEL.simulate(U)
+    rmse = np.sqrt(np.mean(residual**2))
+    nrmse = rmse / np.std(Y)
+    simulated = MODEL.simulate(U)
+    assert shown.splitlines() == [
+        "tank.csv: 60 samples of 'u', simulation by N-L",
+        f"output from {simulated.min():.5g} to {simulated.max():.5g} m, mean {simulated.mean():.5g}",
+        f"against 'y' (simulation): RMSE {rmse:.5g} m, NRMSE {nrmse:.4g}, fit {100 * (1 - nrmse):.2f} %",
+        "written: sim.csv",
+        "written: sim.png",
+    ]
+    columns = np.genfromtxt(folder / "sim.csv", delimiter=",", names=True)
+    assert columns.dtype.names == ("time", "u", "simulated", "y", "residual")
+    for name, expected in zip(
+        columns.dtype.names, (4.0 * np.arange(60), U, simulated, Y, residual), strict=True
+    ):
+        assert columns[name].tobytes() == expected.tobytes()
+    with Image.open(folder / "sim.png") as picture:
+        assert picture.size[0] > 600
+
+
+def test_without_a_measured_output_there_is_nothing_to_compare(folder):
+    shown = said(folder, "simulate tank.json tank.csv --out sim.csv")
+    assert "against" not in shown
+    assert (folder / "sim.csv").read_text().startswith("time,u,simulated\n")
+
+
+def test_a_prediction_uses_the_noise_model_and_leaves_samples_out(folder):
+    shown = said(folder, "simulate tank.json tank.csv --compare y --k-step 2 --n-init 10 --out sim.csv")
+    predicted = MODEL.predict(hi.Record(U, Y), 2)
+    rmse = np.sqrt(np.mean((Y - predicted)[10:] ** 2))
+    assert f"against 'y' (2-step prediction, without the first 10 samples): RMSE {rmse:.5g} m" in shown
+    assert (folder / "sim.csv").read_text().startswith("time,u,predicted,y,residual\n")
+
+
+def test_an_input_beyond_the_range_of_the_fit_is_warned_of(folder):
+    save(folder / "wide.csv", u=np.array([1.0, 2.0, 5.0, 3.0]))
+    done = run_forked(["simulate", "tank.json", "wide.csv"], folder)
+    assert done.returncode == 0
+    assert done.stderr == (
+        "warning: 2 of 4 samples (50.0 %) of the input of N lie beyond 1.2 to 3.9, where it was fitted "
+        "(here 1 to 5): no measurement supports the model there\n"
+    )
+
+
+def test_without_known_ranges_the_span_of_the_basis_counts(folder):
+    block = StaticFunction(DeadZone(-1.0, 1.0), (0.0, 1.0, 1.0))
+    hi.write_model(FittedModel(BlockChain((VALVE, block, TANK))), folder / "tank.json")
+    save(folder / "wide.csv", valve=np.array([1.0, 2.0, 5.0, 4.0]))
+    done = run_forked(["simulate", "tank.json", "wide.csv", "--input", "valve"], folder)
+    assert done.stderr.startswith("warning: 1 of 4 samples (25.0 %) of the input of N1 lie beyond 1 to 4,")
+    assert done.stderr.count("warning") == 1
+
+
+def test_another_sampling_interval_is_an_error_unless_asked_for(folder):
+    assert said(folder, "simulate tank.json tank.csv --dt 2", 2) == (
+        "error: tank.csv is sampled every 2, and the model was fitted to samples every 4: resample "
+        "the input, or ask for it as it stands by --any-dt\n"
+    )
+    assert "60 samples" in said(folder, "simulate tank.json tank.csv --dt 2 --any-dt")
+    assert "60 samples" in said(folder, "simulate tank.json tank.csv --dt 4.0001")
+
+
+REFUSED = [
+    (
+        "simulate tank.json tank.csv --k-step 1",
+        "--k-step predicts from measured outputs: name their column by --compare",
+    ),
+    (
+        "simulate tank.json tank.csv --n-init 60 --compare y",
+        "--n-init 60 leaves no sample to compare (of 60)",
+    ),
+    ("simulate tank.json tank.csv --out sim.txt", "sim.txt: the name must end in .csv"),
+    ("simulate tank.json tank.csv --plot sim.pdf", "sim.pdf: the name must end in .png"),
+    ("simulate tank.json tank.csv --out none/sim.csv", "none/sim.csv cannot be written: no such file"),
+    ("simulate tank.json tank.csv --input v", "there is no column 'v'"),
+    ("simulate tank.json none.csv", "none.csv: no such file"),
+    ("simulate tnk.json tank.csv", "tnk.json: no such file; did you mean 'tank.json'?"),
+    ("simulate tank.json tank.csv --n-init -1", "Invalid value for '--n-init'"),
+    (
+        "simulate nameless.json tank.csv",
+        "nameless.json does not say which column its input is: name it by --input",
+    ),
+    ("simulate unstable.json long.csv --input u", "output to this input is not finite from sample"),
+    ("show tank.csv", "tank.csv: the name must end in .json, as those of fitted models do"),
+    ("show tank.json --out tank.csv", "tank.csv cannot be made: file exists"),
+    (
+        "convert tank.json --to mathlab",
+        "there is no target 'mathlab'; did you mean 'matlab'? (there are: python",
+    ),
+    ("convert tank.json", "Missing option '--to'"),
+    ("convert tank.json --to python --out tank.m", "tank.m: the name must end in .py (--to python)"),
+    ("convert tank.json --to matlab --out 2nd.m", "'2nd' cannot be the name of a MATLAB function"),
+    ("convert broken.json --to python", "broken.json:1: cannot be read: it is no JSON"),
+]
+
+
+@pytest.mark.parametrize(("command", "message"), REFUSED)
+def test_bad_usage_is_told(folder, command, message):
+    (folder / "broken.json").write_text("{")
+    hi.write_model(FittedModel(BlockChain((TANK,))), folder / "nameless.json")
+    unstable = TransferFunction(b=(1.0,), a=(2.0,))
+    hi.write_model(FittedModel(BlockChain((unstable,)), start="rest"), folder / "unstable.json")
+    save(folder / "long.csv", u=np.ones(1200))
+    found = said(folder, command, 2)
+    assert message in found
+    assert not list(folder.glob(".part*"))
+
+
+def test_a_model_is_shown_in_words_and_pictures(folder):
+    shown = said(folder, "show tank.json --out page")
+    assert shown.startswith(hi.formulas(MODEL))
+    names = ["static_functions.png", "bode.png", "step_responses.png", "poles_zeros.png"]
+    assert shown.splitlines()[-1] == f"page: {', '.join(names)}"
+    assert sorted(path.name for path in (folder / "page").iterdir()) == sorted(names)
+
+
+def test_a_model_is_converted_to_a_file_or_to_standard_output(folder):
+    assert said(folder, "convert tank.json --to matlab --out my_tank.m") == (
+        "my_tank.m: a MATLAB function, which Octave runs too\n"
+    )
+    assert (folder / "my_tank.m").read_text() == hi.convert(MODEL, "matlab", "my_tank")
+    assert said(folder, "convert tank.json --to python") == hi.convert(MODEL, "python")
+
+
+def test_what_cannot_be_drawn_is_said(folder):
+    block = StaticFunction(PiecewiseLinear((-1e308, 1e308)), (-1e308, 1e308))
+    hi.write_model(FittedModel(BlockChain((block,))), folder / "tank.json")
+    found = said(folder, "show tank.json --out page", 2)
+    assert found.startswith("error: page/static_functions.png cannot be drawn: numbers are too large (")
+    assert list((folder / "page").iterdir()) == []
