@@ -43,6 +43,8 @@ from hident.linear_blocks import TransferFunction as TransferFunction
 from hident.measured import read as read
 from hident.metrics.disturbance import DisturbanceVariance as DisturbanceVariance
 from hident.metrics.disturbance import DisturbanceVarianceFormula as DisturbanceVarianceFormula
+from hident.metrics.fit import FitIndex as FitIndex, Mae as Mae, Nrmse as Nrmse, Rmse as Rmse
+from hident.metrics.fit import RSquared as RSquared
 from hident.metrics.frequency import GainShapeError as GainShapeError, MovedDelay as MovedDelay
 from hident.metrics.frequency import Response as Response, ResponseError as ResponseError
 from hident.metrics.frequency import TrueResponse as TrueResponse
