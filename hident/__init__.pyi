@@ -52,6 +52,7 @@ from hident.metrics.models import LinearPercentError as LinearPercentError, Sett
 from hident.metrics.models import ValidationPercentError as ValidationPercentError
 from hident.metrics.nonlinearity import IntegratedSquaredError as IntegratedSquaredError
 from hident.metrics.nonlinearity import NonlinearityPercentError as NonlinearityPercentError
+from hident.metrics.residuals import ResidualTest as ResidualTest
 from hident.metrics.values import Coverage as Coverage, Error as Error, PercentError as PercentError
 from hident.metrics.values import Share as Share, TrueValue as TrueValue, Value as Value
 from hident.records import Estimate as Estimate, Record as Record
