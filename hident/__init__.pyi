@@ -66,6 +66,7 @@ from hident.reports.one_trial.convergence import Convergence as Convergence
 from hident.reports.one_trial.experiments import LevelMeans as LevelMeans, Signals as Signals
 from hident.reports.one_trial.realisation import Realisation as Realisation
 from hident.reports.one_trial.responses import SettlingMap as SettlingMap, Validation as Validation
+from hident.reports.one_trial.residuals import ResidualFigure as ResidualFigure
 from hident.reports.one_trial.searches import Search as Search
 from hident.reports.one_trial.static_fits import StaticFit as StaticFit
 from hident.reports.tables.against_truth import AgainstTruth as AgainstTruth

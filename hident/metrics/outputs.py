@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
@@ -9,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from hident.arrays import Array
-from hident.config.spec import Count
+from hident.config.spec import Count, Spec
 from hident.errors import EstimationError
 from hident.metrics.base import MetricSpec, Scored
 from hident.metrics.models import has_stable_block
@@ -69,8 +70,8 @@ class Compared:
         return self.y - self.y_hat
 
 
-class OutputMetric(MetricSpec):
-    """Base of the metrics that hold the model's output against the measured one."""
+class OnOutput(Spec):
+    """How a model's output is held against the measured one: what metrics and figures of it share."""
 
     on: Literal["estimation", "validation"] = "estimation"
     """The record: the one that was fitted, or its validation part."""
@@ -87,22 +88,26 @@ class OutputMetric(MetricSpec):
             raise ValueError("'steps' is of a prediction: set 'by: prediction', or leave it out")
         return self
 
-    def needs_of_estimate(self) -> frozenset[str]:
-        return frozenset({"model" if self.by == "prediction" else "model or response"})
+    def needed_part(self) -> str:
+        """The part of an estimate that gives the output."""
+        return "model" if self.by == "prediction" else "model or response"
 
-    def says(self, dt: float | None) -> str:
-        return described(self.on, self.by, self.steps, self.n_init)
+    def described(self) -> str:
+        """It in words."""
+        which = "on the validation record" if self.on == "validation" else "on the record that was fitted"
+        how = "by simulation" if self.by == "simulation" else f"by {self.steps}-step prediction"
+        left_out = f", without the first {self.n_init} samples of each experiment" if self.n_init else ""
+        return f"{which}, {how}{left_out}"
 
-    def check(self, scored: Scored) -> None:
+    def check_lengths(self, lengths: Iterable[int], validated: bool) -> None:
+        """Raise ValueError unless experiments of such lengths, with a validation record or not, will do."""
         if self.on == "validation":
-            if not scored.validated:
+            if not validated:
                 raise ValueError(
                     "is on a validation record, and this record has none, as no simulated one has: score "
                     "'on: estimation', or the response to another input by kind validation_error"
                 )
-            return
-        longest = max(stretch.samples for stretch in scored.stretches())
-        if longest <= self.n_init:
+        elif (longest := max(lengths)) <= self.n_init:
             raise ValueError(
                 f"leaves the first {self.n_init} samples of each experiment out, and none has more "
                 f"(the longest: {longest}): set a smaller 'n_init'"
@@ -125,11 +130,17 @@ class OutputMetric(MetricSpec):
         )
 
 
-def described(on: str, by: str, steps: int, n_init: int) -> str:
-    """How a model was held against a record, in words."""
-    which = "on the validation record" if on == "validation" else "on the record that was fitted"
-    how = "by simulation" if by == "simulation" else f"by {steps}-step prediction"
-    return f"{which}, {how}" + (f", without the first {n_init} samples of each experiment" if n_init else "")
+class OutputMetric(OnOutput, MetricSpec):
+    """Base of the metrics that hold the model's output against the measured one."""
+
+    def needs_of_estimate(self) -> frozenset[str]:
+        return frozenset({self.needed_part()})
+
+    def says(self, dt: float | None) -> str:
+        return self.described()
+
+    def check(self, scored: Scored) -> None:
+        self.check_lengths((stretch.samples for stretch in scored.stretches()), scored.validated)
 
 
 def compared(estimate: Estimate, record: Record, *, steps: int = 0, n_init: int = 0) -> Compared:

@@ -14,7 +14,7 @@ from hident.metrics.base import Scored
 from hident.metrics.outputs import Compared, OutputMetric
 from hident.numerics.judgement import LEVEL, Residuals, judgement
 from hident.numerics.parts import joined
-from hident.numerics.residuals import Tested, longest_lag
+from hident.numerics.residuals import Tested, count_of_lags
 from hident.records import Estimate, Record
 
 _SAID = {
@@ -44,10 +44,10 @@ def judged(held: Compared, estimate: Estimate, by: Literal["simulation", "predic
 class ResidualTest(OutputMetric):
     """A test of the model's residuals: its p-value, its statistic, or whether it blames the model.
 
-    Whiteness is that of the residuals up to lag 20. The tests against the input take all lags from 0 to 20
-    together and allow for coloured noise; those against nonlinear functions are one test for each of them,
-    and the p-value is the least times their number, with its statistic; so it is with the trends in mean
-    and in variance.
+    Whiteness is that of the residuals up to lag 20. The tests against the input take 21 lags together, which
+    reach four times as far as the output is correlated with itself, and allow for coloured noise. Those
+    against nonlinear functions are one test for each of them, and the p-value is the least times their
+    number, with its statistic; so it is with the trends in mean and in variance.
 
     Examples
     --------
@@ -92,7 +92,7 @@ class ResidualTest(OutputMetric):
         if self.on == "estimation":
             lengths = (stretch.samples - self.n_init for stretch in scored.stretches())
             try:
-                longest_lag(joined(length for length in lengths if length > 0))
+                count_of_lags(joined(length for length in lengths if length > 0))
             except EstimationError as error:
                 raise ValueError(f"cannot judge this: {error}") from None
 

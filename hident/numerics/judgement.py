@@ -18,9 +18,10 @@ from hident.numerics.residuals import (
     Innovations,
     Normality,
     Tested,
+    count_of_lags,
     dependence,
     drift,
-    longest_lag,
+    lag_stride,
     nonlinear_functions,
     normality,
     offset,
@@ -82,7 +83,7 @@ linearly on u: the static nonlinearity, its place among the blocks or its memory
     if wrong := len(e) - np.count_nonzero(np.isfinite(e)):
         raise EstimationError(f"{wrong} of {len(e)} residuals are not finite")
     parts = whole(len(e)) if experiments is None else experiments
-    longest_lag(parts)
+    count_of_lags(parts)
     return Residuals(np.asarray(u, dtype=float), e, np.asarray(y_hat, dtype=float), parts, by, level, fitted)
 
 
@@ -122,7 +123,7 @@ class Residuals:
         """Their correlations with past inputs; None if the input is constant."""
         if is_constant(self.u):
             return None
-        return dependence("u", self.e, self.u, self.innovations, level=self.level)
+        return self._dependence("u", self.u)
 
     @cached_property
     def nonlinear_input(self) -> dict[str, Correlations]:
@@ -133,12 +134,20 @@ class Residuals:
         found = {}
         for name, x in nonlinear_functions(self.u, self.y_hat).items():
             try:
-                found[name] = dependence(
-                    name, self.e, x, self.innovations, beside=(self.u,), level=self.level
-                )
+                found[name] = self._dependence(name, x, beside=(self.u,))
             except EstimationError:
                 continue
         return found
+
+    def _dependence(self, name: str, x: Array, beside: tuple[Array, ...] = ()) -> Correlations:
+        return dependence(
+            name, self.e, x, self.innovations, beside=beside, stride=self.stride, level=self.level
+        )
+
+    @cached_property
+    def stride(self) -> int:
+        """Samples from one lag to the next in the tests against the input."""
+        return lag_stride(self.y_hat + self.e, self.experiments)
 
     @property
     def nonlinearity(self) -> Tested | None:
@@ -152,7 +161,7 @@ class Residuals:
     @cached_property
     def normality(self) -> Normality:
         """Whether their innovations are normal."""
-        return normality(self.innovations.filtered(self.e - np.mean(self.e))[:, 0])
+        return normality(self.innovations.white(self.e - np.mean(self.e)))
 
     @cached_property
     def drift(self) -> Drift:

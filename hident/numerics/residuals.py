@@ -4,16 +4,18 @@
 e          residuals of one or several experiments, shape (N,); ``parts`` say where each stands
 w          their innovations A(q) e, where A is an autoregression fitted to e (Burg, order by AIC)
 x          a signal that is known without the noise, such as the input or a function of it
-M          the longest lag
+M          how many lags are looked at
 =========  ==========================================================================================
 
 No product of two samples reaches from one experiment into another.
 
 Of coloured residuals a plain correlation test against x rejects a true model far too often. So the test is
 that of w against the same filter's A(q) x at all lags together: by an F test of regression, which is the
-Lagrange multiplier test of e = x theta + v with autoregressive v, given x. The single correlations, which a
-figure shows, are those of e and x themselves, with bands by Bartlett's formula for two independent series,
-N var r = sum_j rho_e(j) rho_x(j) (Box, Jenkins, Reinsel, Time Series Analysis, 4th ed., 12.1.3).
+Lagrange multiplier test of e = x theta + v with autoregressive v, given x. Lags reach as far as the output
+remembers; where they are several samples apart, the means over these samples are tested. The single
+correlations, which a figure shows, are those of e and x themselves, with bands by Bartlett's formula for two
+independent series, N var r = sum_j rho_e(j) rho_x(j) (Box, Jenkins, Reinsel, Time Series Analysis, 4th ed.,
+12.1.3).
 """
 
 from __future__ import annotations
@@ -34,6 +36,8 @@ FEWEST = 40
 """The fewest residuals that are judged."""
 _MOST_LAGS = 20
 _MOST_ORDER = 20
+# How many times the correlation time of the output the lags reach.
+_MEMORIES = 4
 # Samples of the longest experiment for each lag.
 _FOR_A_LAG = 10
 # Directions of the lagged signals that are weaker than this, relative to the strongest, are left out.
@@ -70,8 +74,8 @@ class Correlations:
         return int(np.argmax(np.abs(self.values) / self.band))
 
 
-def longest_lag(parts: Parts) -> int:
-    """The longest lag that is looked at: 20, or a tenth of the longest experiment.
+def count_of_lags(parts: Parts) -> int:
+    """How many lags are looked at: 20, or a tenth of the longest experiment.
 
     Raises
     ------
@@ -104,7 +108,7 @@ def whiteness(e: Array, parts: Parts | None = None, *, level: float = 0.01, fitt
     from scipy.special import chdtrc
 
     parts = parts or whole(len(e))
-    e, lags = e - np.mean(e), np.arange(1, longest_lag(parts) + 1)
+    e, lags = e - np.mean(e), np.arange(1, count_of_lags(parts) + 1)
     values = np.array([_product(e, e, k, parts) for k in lags]) / float(e @ e)
     pairs = np.array([sum(max(part.stop - part.start - k, 0) for part in parts) for k in lags])
     statistic = len(e) * (len(e) + 2) * float(np.sum(values**2 / pairs))
@@ -145,29 +149,42 @@ class Innovations:
         array([ 0.9, -0.8])
         """
         parts = parts or whole(len(e))
-        order = min(_MOST_ORDER, longest_lag(parts))
+        order = min(_MOST_ORDER, count_of_lags(parts))
         models = burg(e - np.mean(e), order, parts)
         criterion = [len(e) * np.log(model.variance) + 2.0 * p for p, model in enumerate(models)]
         chosen = models[first_least(criterion, scale=float(len(e)))]
         return cls(chosen.a, chosen.variance, parts)
 
-    def filtered(self, x: Array, lags: int = 0) -> Array:
-        """A(q) x of a signal (N,), a column for each lag from 0 to ``lags``, in the rows of :meth:`rows`."""
-        coefficients = np.r_[1.0, -self.a]
+    def filtered(self, x: Array, lags: int = 0, stride: int = 1) -> Array:
+        """A(q) x of a signal (N,) at ``lags`` + 1 lags, a column each, in the rows of :meth:`rows`.
+
+        Of a ``stride`` of several samples, column j is the mean over the lags from j to j + 1 strides.
+        """
 
         def lagged(x: Array) -> Array:
-            known = np.convolve(x, coefficients, "valid")
-            return np.lib.stride_tricks.sliding_window_view(known, lags + 1)[:, ::-1]
+            means = np.convolve(self._known(x), np.full(stride, 1.0 / stride), "valid")
+            return np.lib.stride_tricks.sliding_window_view(means, lags * stride + 1)[:, ::-stride]
 
-        return in_each(self._long(lags), lagged, x)
+        return in_each(self._long(lags, stride), lagged, x)
 
-    def rows(self, x: Array, lags: int = 0) -> Array:
-        """The samples of a signal (N,) that have ``lags`` and the filter's samples before them."""
-        lost = lags + len(self.a)
-        return in_each(self._long(lags), lambda x: x[lost:], x)
+    def white(self, x: Array, lags: int = 0, stride: int = 1) -> Array:
+        """A(q) x of a signal (N,) as it is, in the same rows."""
+        lost = (lags + 1) * stride - 1
+        return in_each(self._long(lags, stride), lambda x: self._known(x)[lost:], x)
 
-    def _long(self, lags: int) -> Parts:
-        return longer_than(self.parts, lags + len(self.a))
+    def rows(self, x: Array, lags: int = 0, stride: int = 1) -> Array:
+        """The samples of a signal (N,) that have all of these lags, and those of the filter, before them."""
+        lost = self._lost(lags, stride)
+        return in_each(self._long(lags, stride), lambda x: x[lost:], x)
+
+    def _known(self, x: Array) -> Array:
+        return np.convolve(x, np.r_[1.0, -self.a], "valid")
+
+    def _lost(self, lags: int, stride: int) -> int:
+        return (lags + 1) * stride - 1 + len(self.a)
+
+    def _long(self, lags: int, stride: int) -> Parts:
+        return longer_than(self.parts, self._lost(lags, stride))
 
     def spectrum(self, n: int) -> Array:
         """The power of e relative to its variance at the n//2 + 1 frequencies of a real transform."""
@@ -182,9 +199,10 @@ def dependence(
     innovations: Innovations,
     *,
     beside: tuple[Array, ...] = (),
+    stride: int = 1,
     level: float = 0.01,
 ) -> Correlations:
-    """Correlations of residuals with a signal 0 to M samples before, and the test over all of these lags.
+    """Correlations of residuals with a signal 0 to M strides before, and the test over all of these lags.
 
     Parameters
     ----------
@@ -196,6 +214,9 @@ def dependence(
         Those of ``e``.
     beside : tuple of arrays
         Signals whose own lags do not count: what of ``x`` they explain, is theirs.
+    stride : int
+        Samples from one lag to the next; :func:`lag_stride` gives one that reaches far enough. The test takes
+        the means of the signal over each stride, the correlations are those with single samples.
 
     Examples
     --------
@@ -206,27 +227,60 @@ def dependence(
     >>> int(found.lags[found.largest]), found.test.p_value < 1e-6
     (3, True)
     """
-    parts, lags = innovations.parts, longest_lag(innovations.parts)
+    parts, lags = innovations.parts, count_of_lags(innovations.parts)
     e, x = e - np.mean(e), x - np.mean(x)
-    one = innovations.filtered(np.ones(len(e)), lags)[:, :1]
-    others = [innovations.filtered(other - np.mean(other), lags) for other in beside]
-    w = innovations.filtered(e, lags)[:, 0]
-    test = regression_test(w, innovations.filtered(x, lags), [one, *others], len(innovations.a))
+    one = innovations.filtered(np.ones(len(e)), lags, stride)[:, :1]
+    others = [innovations.filtered(other - np.mean(other), lags, stride) for other in beside]
+    w = innovations.white(e, lags, stride)
+    test = regression_test(w, innovations.filtered(x, lags, stride), [one, *others], len(innovations.a))
     size = float(np.sqrt((e @ e) * (x @ x)))
-    values = np.array([_product(e, x, k, parts) for k in range(lags + 1)]) / size
+    at = stride * np.arange(lags + 1)
+    values = np.array([_product(e, x, k, parts) for k in at]) / size
     band = _reach(level) * np.sqrt(_bartlett(x, innovations) / len(e))
-    return Correlations(of, np.arange(lags + 1), values, np.full(lags + 1, band), test)
+    return Correlations(of, at, values, np.full(lags + 1, band), test)
+
+
+def lag_stride(y: Array, parts: Parts | None = None) -> int:
+    """Samples from one lag to the next with which M of them reach as far as the system remembers.
+
+    M lags then take four times the samples after which the autocorrelation of the output (N,) has fallen to
+    1/e, but no more than a quarter of the longest experiment: of a system that is sampled fast, 20 samples
+    would not reach beyond its delay.
+
+    Examples
+    --------
+    >>> slow = np.repeat(np.random.default_rng(1).normal(size=200), 20)
+    >>> lag_stride(np.random.default_rng(1).normal(size=1000)), lag_stride(slow)
+    (1, 2)
+    """
+    parts = parts or whole(len(y))
+    lags, longest = count_of_lags(parts), max(part.stop - part.start for part in parts)
+    pieces = [y[part] - np.mean(y) for part in parts]
+    n = _padded(longest)
+    products = np.fft.irfft(_power(pieces, n), n)[:longest]
+    below = np.flatnonzero(products < products[0] / np.e)
+    remembered = int(below[0]) if len(below) else longest
+    return max(1, min(round(_MEMORIES * remembered / lags), longest // (4 * lags)))
 
 
 def _bartlett(x: Array, innovations: Innovations) -> float:
     """sum_j rho_e(j) rho_x(j), with the autocorrelations of x inside each experiment."""
+    pieces = [x[part] for part in innovations.parts]
+    n = _padded(max(map(len, pieces)))
+    both = _power(pieces, n) * innovations.spectrum(n)
+    return float(np.mean(np.r_[both, both[1 : (n + 1) // 2]]) / (x @ x))
+
+
+def _padded(longest: int) -> int:
+    """A length at which transforms are quick and no product of two samples wraps around."""
     from scipy.fft import next_fast_len
 
-    pieces = [x[part] for part in innovations.parts]
-    n = next_fast_len(2 * max(map(len, pieces)), real=True)
-    power = sum(np.abs(np.fft.rfft(piece, n)) ** 2 for piece in pieces)
-    both = np.asarray(power) * innovations.spectrum(n)
-    return float(np.mean(np.r_[both, both[1 : (n + 1) // 2]]) / (x @ x))
+    return int(next_fast_len(2 * longest, real=True))
+
+
+def _power(pieces: Sequence[Array], n: int) -> Array:
+    """The sum of the pieces' periodograms at the frequencies of a real transform of length ``n``."""
+    return np.asarray(sum(np.abs(np.fft.rfft(piece, n)) ** 2 for piece in pieces))
 
 
 def regression_test(w: Array, columns: Array, others: Sequence[Array] = (), spent: int = 0) -> Tested:
@@ -363,9 +417,9 @@ def drift(e: Array, parts: Parts | None = None) -> Drift:
     slope = float(time @ e / (time @ time))
     innovations = Innovations.of(e - slope * time, parts)
     one = np.ones(len(e))
-    w, when, one = (innovations.filtered(x) for x in (e, time, np.ones(len(e))))
-    mean = regression_test(w[:, 0], when, [one], len(innovations.a))
-    power = innovations.filtered(e - slope * time)[:, 0] ** 2
+    when, one = innovations.filtered(time), innovations.filtered(np.ones(len(e)))
+    mean = regression_test(innovations.white(e), when, [one], len(innovations.a))
+    power = innovations.white(e - slope * time) ** 2
     when = innovations.rows(time)[:, None]
     variance = regression_test(power, when, [np.ones_like(when)])
     about = when[:, 0] - np.mean(when)
@@ -382,7 +436,7 @@ def offset(e: Array, innovations: Innovations) -> Tested:
     >>> offset(e, Innovations.of(e)).p_value > 0.01, offset(e + 0.5, Innovations.of(e)).p_value < 1e-6
     (True, True)
     """
-    w, one = innovations.filtered(e)[:, 0], innovations.filtered(np.ones(len(e)))
+    w, one = innovations.white(e), innovations.filtered(np.ones(len(e)))
     return regression_test(w, one, spent=len(innovations.a))
 
 
@@ -397,6 +451,6 @@ def uneven_spread(e: Array, y_hat: Array, innovations: Innovations) -> Tested:
     >>> [uneven_spread(e, y, Innovations.of(e)).p_value < 0.01 for e in (e, relative)]
     [False, True]
     """
-    w = innovations.filtered(e - np.mean(e))[:, 0]
+    w = innovations.white(e - np.mean(e))
     y = _standardised(innovations.rows(y_hat))
     return regression_test(w**2, np.column_stack([y, y**2]), [np.ones((len(w), 1))])

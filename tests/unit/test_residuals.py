@@ -73,13 +73,10 @@ class TestAModelThatIsRight:
         for _ in range(TRIALS // 2):
             for part in (rng.normal(size=N), rng.uniform(-2.0, 2.0, size=N)):
                 u, e = INPUTS[given_input](part), coloured(noise, rng)
-                innovations = Innovations.of(e)
-                found = dependence("u", e, u, innovations, level=LEVEL)
-                linear.append(found.test.p_value)
-                beyond.append(np.mean(np.abs(found.values) > found.band))
-                others = nonlinear_functions(u, system(u)).items()
-                tests = [dependence(name, e, x, innovations, beside=(u,)).test for name, x in others]
-                nonlinear.append(len(tests) * min(test.p_value for test in tests))
+                found = judgement(u, system(u) + 0.1 * e, system(u), level=LEVEL)
+                linear.append(found.input.test.p_value)
+                beyond.append(np.mean(np.abs(found.input.values) > found.input.band))
+                nonlinear.append(found.nonlinearity.p_value)
         assert is_the_level(share(linear))
         # Bonferroni's bound on tests that are much alike.
         assert share(nonlinear) <= binom.ppf(0.9995, TRIALS, LEVEL) / TRIALS
@@ -94,7 +91,7 @@ class TestAModelThatIsRight:
             trends = drift(e, parts)
             for name, test in {
                 "whiteness": whiteness(e, parts).test,
-                "normality": normality(innovations.filtered(e)[:, 0]).test,
+                "normality": normality(innovations.white(e)).test,
                 "trend": trends.mean,
                 "growth": trends.variance,
                 "both": trends.test,
@@ -111,7 +108,7 @@ class TestAModelThatIsRight:
         for _ in range(TRIALS):
             e = coloured("ar", rng)
             innovations = Innovations.of(e)
-            tests = drift(e).test, offset(e, innovations), normality(innovations.filtered(e)[:, 0]).test
+            tests = drift(e).test, offset(e, innovations), normality(innovations.white(e)).test
             for name, test in zip(("drift", "offset", "normality"), tests, strict=True):
                 found.setdefault(name, []).append(test.p_value)
         # A trend is not told from slow noise in 300 samples as well as from white one.
@@ -165,6 +162,17 @@ class TestAModelThatIsWrong:
             for seed in range(60)
         ]
         assert np.mean(np.array(found) < 0.01) >= least
+
+    @pytest.mark.parametrize("delay", [1, 60])
+    def test_however_fast_it_is_sampled(self, delay):
+        """Lags of 20 samples would see nothing of a response that begins after 60."""
+        rng = np.random.default_rng(20)
+        u = np.repeat(rng.normal(size=200), 20)
+        slow = [*[0.0] * delay, 0.05], [1.0, -0.95]
+        y, e = lfilter(*slow, np.tanh(u)), 0.05 * coloured("ar", rng, len(u))
+        found = judgement(u, y + e, lfilter(*slow, 0.6 * u))
+        assert found.nonlinear_input["u^3"].test.p_value < 1e-6
+        assert judgement(u, y + e, y).nonlinearity.p_value > 0.01
 
     def test_by_a_drift_is_found_by_its_size(self):
         found = self.judged(system, y_of=lambda u: system(u) + np.linspace(0.0, 0.1, len(u))).drift
