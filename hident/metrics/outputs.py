@@ -160,5 +160,7 @@ def compared(estimate: Estimate, record: Record, *, steps: int = 0, n_init: int 
     parts = longer_than(record.experiments, n_init)
     if not parts:
         raise EstimationError(f"no experiment has more than the {n_init} samples that are left out")
-    kept = (in_each(parts, lambda signal: signal[n_init:], signal) for signal in (record.u, record.y, y_hat))
-    return Compared(*kept, following(parts, n_init))
+    u, y, y_hat = (
+        in_each(parts, lambda signal: signal[n_init:], signal) for signal in (record.u, record.y, y_hat)
+    )
+    return Compared(u, y, y_hat, following(parts, n_init))

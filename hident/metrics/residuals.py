@@ -113,7 +113,7 @@ class ResidualTest(OutputMetric):
             case "whiteness":
                 found: Tested | None = residuals.whiteness.test
             case "input":
-                found = residuals.input and residuals.input.test
+                found = None if residuals.input is None else residuals.input.test
             case "nonlinear_input":
                 found = residuals.nonlinearity
             case "normality":

@@ -220,7 +220,7 @@ class Residuals:
         if not self._fails(found.test):
             yield True, f"The residuals are white up to lag {count} ({_p(found.test)})."
             return
-        others = (self.input and self.input.test, self.nonlinearity, self.offset, self.drift.test)
+        others = (self.input.test if self.input else None, self.nonlinearity, self.offset, self.drift.test)
         if any(map(self._fails, others)):
             means = "what stands below does this too"
         elif self.by == "prediction":

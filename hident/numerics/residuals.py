@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hident.arrays import Array
 from hident.errors import EstimationError
@@ -63,7 +64,7 @@ class Correlations:
     """
 
     of: str
-    lags: Array
+    lags: NDArray[np.int64]
     values: Array
     band: Array
     test: Tested
@@ -82,7 +83,7 @@ def count_of_lags(parts: Parts) -> int:
     EstimationError
         If there are too few residuals.
     """
-    lengths = [part.stop - part.start for part in parts]
+    lengths: list[int] = [part.stop - part.start for part in parts]
     if sum(lengths) < FEWEST or max(lengths) < 2 * _FOR_A_LAG:
         raise EstimationError(
             f"{sum(lengths)} residuals, at most {max(lengths)} in one experiment, are too few to be judged: "
@@ -108,8 +109,8 @@ def whiteness(e: Array, parts: Parts | None = None, *, level: float = 0.01, fitt
     from scipy.special import chdtrc
 
     parts = parts or whole(len(e))
-    e, lags = e - np.mean(e), np.arange(1, count_of_lags(parts) + 1)
-    values = np.array([_product(e, e, k, parts) for k in lags]) / float(e @ e)
+    e, lags = e - np.mean(e), np.arange(1, count_of_lags(parts) + 1, dtype=np.int64)
+    values = np.array([_product(e, e, k, parts) for k in lags.tolist()]) / float(e @ e)
     pairs = np.array([sum(max(part.stop - part.start - k, 0) for part in parts) for k in lags])
     statistic = len(e) * (len(e) + 2) * float(np.sum(values**2 / pairs))
     p_value = float(chdtrc(max(len(lags) - fitted, 1), statistic))
@@ -234,8 +235,8 @@ def dependence(
     w = innovations.white(e, lags, stride)
     test = regression_test(w, innovations.filtered(x, lags, stride), [one, *others], len(innovations.a))
     size = float(np.sqrt((e @ e) * (x @ x)))
-    at = stride * np.arange(lags + 1)
-    values = np.array([_product(e, x, k, parts) for k in at]) / size
+    at = stride * np.arange(lags + 1, dtype=np.int64)
+    values = np.array([_product(e, x, k, parts) for k in at.tolist()]) / size
     band = _reach(level) * np.sqrt(_bartlett(x, innovations) / len(e))
     return Correlations(of, at, values, np.full(lags + 1, band), test)
 
@@ -254,8 +255,8 @@ def lag_stride(y: Array, parts: Parts | None = None) -> int:
     (1, 2)
     """
     parts = parts or whole(len(y))
-    lags, longest = count_of_lags(parts), max(part.stop - part.start for part in parts)
     pieces = [y[part] - np.mean(y) for part in parts]
+    lags, longest = count_of_lags(parts), max(map(len, pieces))
     n = _padded(longest)
     products = np.fft.irfft(_power(pieces, n), n)[:longest]
     below = np.flatnonzero(products < products[0] / np.e)
@@ -340,10 +341,11 @@ def nonlinear_functions(u: Array, y_hat: Array) -> dict[str, Array]:
     ['u y', 'y^2']
     """
     u, y = _standardised(u), _standardised(y_hat)
+    power = float(u @ u) or 1.0
     found = {}
     for name, x in (("u^2", u**2), ("u^3", u**3), ("|u|", np.abs(u)), ("u y", u * y), ("y^2", y**2)):
         rest = x - np.mean(x)
-        rest = rest - u * (u @ rest / max(u @ u, 1.0))
+        rest = rest - u * (float(u @ rest) / power)
         if rest @ rest > _LINE**2 * (x @ x):
             found[name] = rest
     return found

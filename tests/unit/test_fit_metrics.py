@@ -13,7 +13,8 @@ from hident.config.spec import Of
 from hident.errors import ConfigError, EstimationError
 from hident.fitted_model import FittedModel, NoiseModel
 from hident.linear_blocks import TransferFunction
-from hident.metrics.outputs import simulated
+from hident.metrics.fit import Rmse
+from hident.metrics.outputs import OutputMetric, simulated
 from hident.records import Estimate, Held, Part, Record
 from hident.reports.scoring import scoring
 from tests.unit.plans import planned, refusals, replaced
@@ -38,8 +39,14 @@ def written_out(kind, y, y_hat):
     }[kind]
 
 
+def metric(kind, **settings):
+    spec = Of("metric").validate({"kind": kind, **settings})
+    assert isinstance(spec, OutputMetric)
+    return spec
+
+
 def scored(kind, estimate, record, **settings):
-    (found,) = Of("metric").validate({"kind": kind, **settings}).evaluate(estimate, record)
+    (found,) = metric(kind, **settings).evaluate(estimate, record)
     return found
 
 
@@ -92,7 +99,7 @@ class TestDefinitions:
     @pytest.mark.parametrize("kind", ["nrmse", "r_squared", "fit_index"])
     def test_what_is_relative_fails_on_a_constant_output(self, kind):
         with pytest.raises(EstimationError, match="the output is 2 throughout: no error is relative"):
-            scored(kind, giving([1.0, 2.0]), Record([0.0, 0.0], [2.0, 2.0]))
+            scored(kind, giving([1.0, 2.0]), Record(np.zeros(2), np.full(2, 2.0)))
 
 
 class TestSeveralExperiments:
@@ -158,13 +165,13 @@ class TestSimulationAndPrediction:
     def test_an_unstable_block_beside_a_response_fails(self):
         estimate = Estimate(response=lambda u, dt: u, linear=TransferFunction(b=(1.0,), a=(1.1,)))
         with pytest.raises(EstimationError, match="the linear block is unstable"):
-            scored("rmse", estimate, Record([1.0, 2.0], [1.0, 2.0]))
+            scored("rmse", estimate, Record(np.arange(2.0), np.arange(2.0)))
 
     def test_steps_are_of_a_prediction(self):
         with pytest.raises(
             ConfigError, match="'steps' is of a prediction: set 'by: prediction', or leave it out"
         ):
-            type(Of("metric").validate({"kind": "rmse"}))(steps=2)
+            Rmse(steps=2)
 
 
 class TestValidation:
@@ -239,5 +246,5 @@ class TestInARun:
         assert f"Metric m: {said}." in list(scoring(plan))
 
     def test_predictions_and_validation_are_said(self):
-        metric = Of("metric").validate({"kind": "rmse", "on": "validation", "by": "prediction", "steps": 3})
-        assert metric.says(None) == "on the validation record, by 3-step prediction"
+        spec = metric("rmse", on="validation", by="prediction", steps=3)
+        assert spec.says(None) == "on the validation record, by 3-step prediction"

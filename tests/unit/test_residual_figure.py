@@ -7,6 +7,8 @@ from hident.engine.replay import OneTrial
 from hident.engine.runner import run
 from hident.errors import ConfigError
 from hident.metrics.residuals import judged
+from hident.records import needed
+from hident.reports.one_trial.residuals import ResidualFigure
 from hident.reports.output import check
 from hident.reports.style import style
 from tests.unit.plans import planned, replaced
@@ -30,11 +32,17 @@ figures:
 SATURATION = "{kind: saturation, low: -1, high: 1}"
 
 
+def shown(plan):
+    figure = plan.experiment.figures["f"]
+    assert isinstance(figure, ResidualFigure)
+    return figure
+
+
 def drawn(folder, system="identity", settings=""):
     plan = planned(folder, replaced(CONFIG, {"SYSTEM": system, "SETTINGS": settings}))
     check(plan)
     with style():
-        return plan, plan.experiment.figures["f"].draw(run(plan), [])
+        return plan, shown(plan).draw(run(plan), [])
 
 
 def refused(folder, settings):
@@ -46,10 +54,10 @@ def refused(folder, settings):
 
 def of_trial(plan, n_init=0):
     realised = OneTrial(plan, 0).of("lag", {})
-    figure = plan.experiment.figures["f"]
-    held = figure.compared(realised.found, realised.record)
+    estimate = needed(realised.found)
+    held = shown(plan).compared(estimate, needed(realised.record))
     assert len(held.y) == 1001 - n_init
-    return judged(held, realised.found, "simulation")
+    return judged(held, estimate, "simulation")
 
 
 def test_shows_the_residuals_and_their_correlations(tmp_path):
@@ -100,7 +108,7 @@ def test_a_line_stands_where_a_new_experiment_begins(tmp_path):
     )
     plan = planned(tmp_path, several)
     with style():
-        figure = plan.experiment.figures["f"].draw(run(plan), [])
+        figure = shown(plan).draw(run(plan), [])
     assert figure.axes[0].get_title() == "residuals (dotted: a new experiment)"
     assert figure.axes[0].lines[1].get_xdata()[0] == pytest.approx(59.95)
 

@@ -9,7 +9,7 @@ from hident.fitted_model import FittedModel, NoiseModel
 from hident.linear_blocks import TransferFunction
 from hident.metrics.residuals import ResidualTest
 from hident.numerics.judgement import judgement
-from hident.records import Estimate, Record
+from hident.records import Estimate, Record, needed
 from tests.unit.plans import planned, refusals, replaced
 
 CHAIN = BlockChain((TransferFunction(b=(0.5,), a=(0.5,)),))
@@ -35,8 +35,8 @@ def test_is_that_of_the_residuals():
     found = judgement(given.u, given.y, CHAIN.response(given.u))
     tests = {
         "whiteness": found.whiteness.test,
-        "input": found.input.test,
-        "nonlinear_input": found.nonlinearity,
+        "input": needed(found.input).test,
+        "nonlinear_input": needed(found.nonlinearity),
         "normality": found.normality.test,
         "drift": found.drift.test,
     }
@@ -54,7 +54,7 @@ def test_a_simulation_leaves_the_colour_that_a_prediction_takes_away():
 
 def test_the_parameters_of_the_noise_model_count_in_a_prediction():
     given, estimate = record(), model()
-    y_hat = estimate.model.predict(given)
+    y_hat = needed(estimate.model).predict(given)
     wanted = judgement(given.u[1:], given.y[1:], y_hat[1:], fitted=1).whiteness.test.p_value
     assert scored(given, of="whiteness", by="prediction", n_init=1) == wanted
 

@@ -22,6 +22,7 @@ from hident.numerics.residuals import (
     uneven_spread,
     whiteness,
 )
+from hident.records import needed
 
 QUICK = settings(deadline=None, derandomize=True, max_examples=15)
 TRIALS, N, LEVEL = 200, 300, 0.05
@@ -74,9 +75,9 @@ class TestAModelThatIsRight:
             for part in (rng.normal(size=N), rng.uniform(-2.0, 2.0, size=N)):
                 u, e = INPUTS[given_input](part), coloured(noise, rng)
                 found = judgement(u, system(u) + 0.1 * e, system(u), level=LEVEL)
-                linear.append(found.input.test.p_value)
-                beyond.append(np.mean(np.abs(found.input.values) > found.input.band))
-                nonlinear.append(found.nonlinearity.p_value)
+                linear.append(needed(found.input).test.p_value)
+                beyond.append(np.mean(np.abs(needed(found.input).values) > needed(found.input).band))
+                nonlinear.append(needed(found.nonlinearity).p_value)
         assert is_the_level(share(linear))
         # Bonferroni's bound on tests that are much alike.
         assert share(nonlinear) <= binom.ppf(0.9995, TRIALS, LEVEL) / TRIALS
@@ -84,7 +85,8 @@ class TestAModelThatIsRight:
 
     @pytest.mark.parametrize("lengths", [(N,), (120, 80, 60, 40)])
     def test_with_white_noise_passes_all_other_tests_at_their_level(self, lengths):
-        rng, parts, found = np.random.default_rng(2), joined(lengths), {}
+        rng, parts = np.random.default_rng(2), joined(lengths)
+        found: dict[str, list[float]] = {}
         for _ in range(TRIALS):
             e, y = rng.normal(size=(2, sum(lengths)))
             innovations = Innovations.of(e, parts)
@@ -104,7 +106,8 @@ class TestAModelThatIsRight:
         assert {name for name, one in shares.items() if not is_the_level(one)} == set(), shares
 
     def test_with_coloured_noise_does_not_drift_and_is_normal(self):
-        rng, found = np.random.default_rng(3), {}
+        rng = np.random.default_rng(3)
+        found: dict[str, list[float]] = {}
         for _ in range(TRIALS):
             e = coloured("ar", rng)
             innovations = Innovations.of(e)
@@ -136,8 +139,8 @@ class TestAModelThatIsWrong:
     @pytest.mark.parametrize("noise", ["white", "ar"])
     def test_by_a_delay_is_found_in_the_input(self, noise):
         found = self.judged(lambda u: system(u, delay=2), noise=noise)
-        assert found.input.test.p_value < 1e-10
-        assert found.input.lags[found.input.largest] == 1
+        assert needed(found.input).test.p_value < 1e-10
+        assert needed(found.input).lags[needed(found.input).largest] == 1
 
     def test_by_a_missing_square_is_found_in_it_alone(self):
         found = self.judged(system, y_of=lambda u: system(u) + 0.05 * np.r_[0.0, 0.0, u[:-2] ** 2])
@@ -145,12 +148,12 @@ class TestAModelThatIsWrong:
         assert tests["u^2"] < 1e-10
         assert found.nonlinear_input["u^2"].lags[found.nonlinear_input["u^2"].largest] == 2
         assert tests["u^3"] > 0.01
-        assert found.input.test.p_value > 0.01
+        assert needed(found.input).test.p_value > 0.01
 
     def test_by_a_line_in_place_of_a_saturation_is_found_in_the_cube(self):
         found = self.judged(lambda u: lfilter([0.0, 0.3], [1.0, -0.5], u))
         assert found.nonlinear_input["u^3"].test.p_value < 1e-10
-        assert found.nonlinearity.p_value < 1e-10
+        assert needed(found.nonlinearity).p_value < 1e-10
 
     @pytest.mark.parametrize(
         ("size", "least"),
@@ -158,7 +161,9 @@ class TestAModelThatIsWrong:
     )
     def test_is_found_the_more_often_the_more_it_is_wrong(self, size, least):
         found = [
-            self.judged(system, seed=seed, y_of=lambda u: system(u) + size * u**2).nonlinearity.p_value
+            needed(
+                self.judged(system, seed=seed, y_of=lambda u: system(u) + size * u**2).nonlinearity
+            ).p_value
             for seed in range(60)
         ]
         assert np.mean(np.array(found) < 0.01) >= least
@@ -172,7 +177,7 @@ class TestAModelThatIsWrong:
         y, e = lfilter(*slow, np.tanh(u)), 0.05 * coloured("ar", rng, len(u))
         found = judgement(u, y + e, lfilter(*slow, 0.6 * u))
         assert found.nonlinear_input["u^3"].test.p_value < 1e-6
-        assert judgement(u, y + e, y).nonlinearity.p_value > 0.01
+        assert needed(judgement(u, y + e, y).nonlinearity).p_value > 0.01
 
     def test_by_a_drift_is_found_by_its_size(self):
         found = self.judged(system, y_of=lambda u: system(u) + np.linspace(0.0, 0.1, len(u))).drift
@@ -193,8 +198,8 @@ class TestAModelThatIsWrong:
         u, e = rng.normal(size=(2, 1000))
         y = system(u)
         found = judgement(u, y + 0.1 * (1.0 + 2.0 * np.abs(y)) * e, y)
-        assert found.spread.p_value < 1e-6
-        assert found.input.test.p_value > 0.01
+        assert needed(found.spread).p_value < 1e-6
+        assert needed(found.input).test.p_value > 0.01
 
     def test_by_outliers(self):
         e = np.random.default_rng(8).normal(size=1000)
@@ -256,8 +261,8 @@ class TestNumbers:
             assert getattr(other, name).test.p_value == pytest.approx(
                 getattr(one, name).test.p_value, rel=1e-4
             )
-        assert other.nonlinearity.p_value == pytest.approx(one.nonlinearity.p_value, rel=1e-4)
-        assert other.spread.p_value == pytest.approx(one.spread.p_value, rel=1e-4)
+        assert needed(other.nonlinearity).p_value == pytest.approx(needed(one.nonlinearity).p_value, rel=1e-4)
+        assert needed(other.spread).p_value == pytest.approx(needed(one.spread).p_value, rel=1e-4)
 
 
 class TestSeveralExperiments:
@@ -284,10 +289,10 @@ class TestSeveralExperiments:
         one = judgement(u, y + e, y, places)
         other = judgement(turned[0], turned[2] + turned[1], turned[2], joined([50, 90, 60]))
         assert one.sentences == other.sentences
-        np.testing.assert_allclose(one.input.values, other.input.values, atol=1e-12)
-        np.testing.assert_allclose(one.input.band, other.input.band)
+        np.testing.assert_allclose(needed(one.input).values, needed(other.input).values, atol=1e-12)
+        np.testing.assert_allclose(needed(one.input).band, needed(other.input).band)
         assert one.drift.test.p_value == pytest.approx(other.drift.test.p_value)
-        assert one.nonlinearity.p_value == pytest.approx(other.nonlinearity.p_value)
+        assert needed(one.nonlinearity).p_value == pytest.approx(needed(other.nonlinearity).p_value)
 
     def test_what_depends_on_the_experiment_before_is_not_seen(self):
         """Every experiment's residuals follow the input of the one before: across, not inside."""

@@ -90,7 +90,7 @@ def _in_time(axes: Axes, found: Residuals, dt: float, n_init: int) -> None:
     t = (np.arange(len(found.e)) + (0 if several else n_init)) * dt
     axes.plot(t, found.e, rasterized=True, **{**DATA, "color": "0.35"})
     for part in found.experiments[1:]:
-        axes.axvline(t[part.start] - dt / 2.0, color="black", linewidth=0.8, linestyle=":")
+        axes.axvline(float(t[part.start]) - dt / 2.0, color="black", linewidth=0.8, linestyle=":")
     axes.axhline(0.0, **TRUE_LEVEL)
     axes.set_title("residuals" + (" (dotted: a new experiment)" if several else ""))
 
