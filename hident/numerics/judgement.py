@@ -123,7 +123,7 @@ class Residuals:
         """Their correlations with past inputs; None if the input is constant."""
         if is_constant(self.u):
             return None
-        return self._dependence("u", self.u)
+        return self._dependence("u", self.u, self.innovations)
 
     @cached_property
     def nonlinear_input(self) -> dict[str, Correlations]:
@@ -131,18 +131,21 @@ class Residuals:
 
         Functions that are none of their own on this record are left out.
         """
-        found = {}
+        found: dict[str, Correlations] = {}
+        if is_constant(self.u):
+            return found
+        innovations = Innovations.beyond(self.e, self.u, self.experiments, self.stride)
         for name, x in nonlinear_functions(self.u, self.y_hat).items():
             try:
-                found[name] = self._dependence(name, x, beside=(self.u,))
+                found[name] = self._dependence(name, x, innovations, beside=(self.u,))
             except EstimationError:
                 continue
         return found
 
-    def _dependence(self, name: str, x: Array, beside: tuple[Array, ...] = ()) -> Correlations:
-        return dependence(
-            name, self.e, x, self.innovations, beside=beside, stride=self.stride, level=self.level
-        )
+    def _dependence(
+        self, name: str, x: Array, innovations: Innovations, beside: tuple[Array, ...] = ()
+    ) -> Correlations:
+        return dependence(name, self.e, x, innovations, beside=beside, stride=self.stride, level=self.level)
 
     @cached_property
     def stride(self) -> int:

@@ -21,7 +21,7 @@ independent series, N var r = sum_j rho_e(j) rho_x(j) (Box, Jenkins, Reinsel, Ti
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 
 import numpy as np
@@ -31,7 +31,7 @@ from hident.arrays import Array
 from hident.errors import EstimationError
 from hident.numerics.autoregression import burg
 from hident.numerics.choices import first_least
-from hident.numerics.parts import Parts, in_each, longer_than, whole
+from hident.numerics.parts import Parts, following, in_each, longer_than, whole
 
 FEWEST = 40
 """The fewest residuals that are judged."""
@@ -140,7 +140,7 @@ class Innovations:
     parts: Parts
 
     @classmethod
-    def of(cls, e: Array, parts: Parts | None = None) -> Innovations:
+    def of(cls, e: Array, parts: Parts | None = None, highest: int | None = None) -> Innovations:
         """Those of residuals (N,) about their mean, of the order that Akaike's criterion chooses.
 
         Examples
@@ -150,11 +150,24 @@ class Innovations:
         array([ 0.9, -0.8])
         """
         parts = parts or whole(len(e))
-        order = min(_MOST_ORDER, count_of_lags(parts))
+        order = min(_MOST_ORDER, count_of_lags(parts)) if highest is None else highest
         models = burg(e - np.mean(e), order, parts)
         criterion = [len(e) * np.log(model.variance) + 2.0 * p for p, model in enumerate(models)]
         chosen = models[first_least(criterion, scale=float(len(e)))]
         return cls(chosen.a, chosen.variance, parts)
+
+    @classmethod
+    def beyond(cls, e: Array, x: Array, parts: Parts, stride: int = 1) -> Innovations:
+        """Those of what residuals (N,) hold beyond what depends linearly on past samples of ``x`` (N,).
+
+        A filter that whitened what depends on x as well would colour the noise.
+        """
+        lags, plain = count_of_lags(parts), cls(np.empty(0), 1.0, parts)
+        past = plain.filtered(x - np.mean(x), lags, stride)
+        columns, now = np.column_stack([np.ones(len(past)), past]), plain.white(e, lags, stride)
+        rest = now - columns @ np.linalg.lstsq(columns, now, rcond=None)[0]
+        kept = following(parts, (lags + 1) * stride - 1)
+        return replace(cls.of(rest, kept, min(_MOST_ORDER, lags)), parts=parts)
 
     def filtered(self, x: Array, lags: int = 0, stride: int = 1) -> Array:
         """A(q) x of a signal (N,) at ``lags`` + 1 lags, a column each, in the rows of :meth:`rows`.

@@ -179,6 +179,14 @@ class TestAModelThatIsWrong:
         assert found.nonlinear_input["u^3"].test.p_value < 1e-6
         assert needed(judgement(u, y + e, y).nonlinearity).p_value > 0.01
 
+    def test_in_its_gain_is_not_blamed_for_the_nonlinearity(self):
+        rng, found = np.random.default_rng(21), []
+        for _ in range(100):
+            u, e = rng.uniform(-1.0, 1.0, size=500), 0.02 * rng.normal(size=500)
+            y = np.convolve(u, [0.5, 0.5])[:500]
+            found.append(needed(judgement(u, y + e, 0.8 * y).nonlinearity).p_value)
+        assert share(found) <= binom.ppf(0.9995, 100, LEVEL) / 100
+
     def test_by_a_drift_is_found_by_its_size(self):
         found = self.judged(system, y_of=lambda u: system(u) + np.linspace(0.0, 0.1, len(u))).drift
         assert found.mean.p_value < 1e-6
