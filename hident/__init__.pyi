@@ -52,6 +52,8 @@ from hident.measurements.first_look import first_look as first_look
 from hident.measurements.measured_record import MeasuredRecord as MeasuredRecord, read as read
 from hident.metrics.disturbance import DisturbanceVariance as DisturbanceVariance
 from hident.metrics.disturbance import DisturbanceVarianceFormula as DisturbanceVarianceFormula
+from hident.metrics.fit import FitIndex as FitIndex, Mae as Mae, Nrmse as Nrmse, Rmse as Rmse
+from hident.metrics.fit import RSquared as RSquared
 from hident.metrics.frequency import GainShapeError as GainShapeError, MovedDelay as MovedDelay
 from hident.metrics.frequency import Response as Response, ResponseError as ResponseError
 from hident.metrics.frequency import TrueResponse as TrueResponse
@@ -59,6 +61,7 @@ from hident.metrics.models import LinearPercentError as LinearPercentError, Sett
 from hident.metrics.models import ValidationPercentError as ValidationPercentError
 from hident.metrics.nonlinearity import IntegratedSquaredError as IntegratedSquaredError
 from hident.metrics.nonlinearity import NonlinearityPercentError as NonlinearityPercentError
+from hident.metrics.residuals import ResidualTest as ResidualTest
 from hident.metrics.values import Coverage as Coverage, Error as Error, PercentError as PercentError
 from hident.metrics.values import Share as Share, TrueValue as TrueValue, Value as Value
 from hident.models.control_export import initial_state as initial_state, to_control as to_control
@@ -76,6 +79,7 @@ from hident.reports.one_trial.convergence import Convergence as Convergence
 from hident.reports.one_trial.experiments import LevelMeans as LevelMeans, Signals as Signals
 from hident.reports.one_trial.realisation import Realisation as Realisation
 from hident.reports.one_trial.responses import SettlingMap as SettlingMap, Validation as Validation
+from hident.reports.one_trial.residuals import ResidualFigure as ResidualFigure
 from hident.reports.one_trial.searches import Search as Search
 from hident.reports.one_trial.static_fits import StaticFit as StaticFit
 from hident.reports.tables.against_truth import AgainstTruth as AgainstTruth

@@ -88,7 +88,7 @@ PLANTS = (
     Plant("wang_table1", "signals.noise:_Additive._std", "return self.std", "return 1.001 * self.std"),
     Plant("wang_table1", f"{_BILINEAR}.bilinear:normalised", "sign * length *", "sign * 1.001 * length *"),
     Plant("wang_table1", f"{_BILINEAR}.bilinear:loss", "weighted**2", "1.001 * weighted**2"),
-    Plant("wang_table2", f"{_BILINEAR}.ar_noise:ArModel._whitened", "-= a *", "-= 1.001 * a *"),
+    Plant("wang_table2", "numerics.autoregression:ArModel._whitened", "-= a *", "-= 1.001 * a *"),
     Plant("wang_table2", "signals.noise:Autoregressive._unit", "a=self.a", "a=(1.001 * self.a[0],)"),
     # Chen, Hammerstein: systems, input, noise, transforms, iteration, errors; and Voros
     Plant("chen_fig5", "systems.nonlinearity:_wigren", "0.9 *", "0.9009 *"),

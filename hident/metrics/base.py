@@ -16,8 +16,9 @@ from hident.systems.base import SystemSpec
 class Scored:
     """What a metric is to score: the data of a case, and what an estimator makes of them.
 
-    ``dt`` is the sampling interval (None: discrete time), ``provides`` the parts of the estimate, and
-    ``step`` the sampling interval of its discrete linear block.
+    ``dt`` is the sampling interval (None: discrete time), ``provides`` the parts of the estimate, ``step``
+    the sampling interval of its discrete linear block, and ``validated`` whether the record has a validation
+    part.
     """
 
     samples: int
@@ -26,6 +27,7 @@ class Scored:
     excitation: ExcitationSpec
     provides: frozenset[str]
     step: float
+    validated: bool = False
 
     def stretches(self) -> tuple[Stretch, ...]:
         """The experiments of the record."""

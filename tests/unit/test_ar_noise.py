@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hident.errors import EstimationError
-from hident.estimators.bilinear_models.ar_noise import METHODS, ArModel, EstimatedAr, chi_squared, f_test, fpe
+from hident.estimators.bilinear_models.ar_noise import METHODS, EstimatedAr, chi_squared, f_test, fpe
 from hident.linear_blocks import TransferFunction
+from hident.numerics.autoregression import ArModel
 
 QUICK = settings(deadline=None, derandomize=True, max_examples=40)
 

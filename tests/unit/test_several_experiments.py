@@ -11,13 +11,14 @@ from hident.engine.preflight import check_records
 from hident.engine.trial import Data, Job, estimate, generate
 from hident.errors import ConfigError, EstimationError
 from hident.estimators.base import EstimatorSpec
-from hident.estimators.bilinear_models.ar_noise import METHODS, ArModel
+from hident.estimators.bilinear_models.ar_noise import METHODS
 from hident.estimators.moving_horizon.transform.time_weighted import Horizons, Knots
 from hident.estimators.nonparametric.instrumental_variables import instrumental_variables
 from hident.estimators.nonparametric.least_squares import least_squares
 from hident.estimators.nonparametric.prefilter import FilteredRecord, prefilter
 from hident.linear_blocks import TransferFunction
 from hident.metrics.disturbance import DisturbanceVariance
+from hident.numerics.autoregression import ArModel
 from hident.numerics.parts import following, in_each, joined, longer_than, whole
 from hident.records import Estimate, Held, Part, Record
 from tests.unit.plans import planned, replaced

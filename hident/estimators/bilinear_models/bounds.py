@@ -11,12 +11,12 @@ from pydantic import Field
 from hident.arrays import Array
 from hident.config.spec import Of, Real, component
 from hident.estimators.base import with_errors
-from hident.estimators.bilinear_models.ar_noise import ArModel
 from hident.estimators.bilinear_models.bilinear import Regression, identity
 from hident.estimators.bilinear_models.bilinear_least_squares import covariance_root
 from hident.estimators.bilinear_models.known_basis import BilinearSpec
 from hident.estimators.bilinear_models.two_stage import KnownAr, WeightedSpec
 from hident.estimators.normalisation import Normalisation, known_function
+from hident.numerics.autoregression import ArModel
 from hident.records import Estimate, Record
 from hident.systems.base import NonlinearitySpec
 

@@ -18,7 +18,7 @@ from hident.config.spec import Real, Spec, component
 from hident.config.suggest import did_you_mean, one_of
 from hident.errors import EstimationError
 from hident.estimators.base import with_errors
-from hident.estimators.bilinear_models.ar_noise import ArModel, EstimatedAr
+from hident.estimators.bilinear_models.ar_noise import EstimatedAr
 from hident.estimators.bilinear_models.bilinear import (
     Regression,
     inverse_gram,
@@ -27,6 +27,7 @@ from hident.estimators.bilinear_models.bilinear import (
 )
 from hident.estimators.bilinear_models.known_basis import BilinearSpec, LaggedSpec
 from hident.linear_blocks import MOST_POLES, TransferFunction
+from hident.numerics.autoregression import ArModel
 from hident.numerics.choices import ROUNDING
 from hident.numerics.parts import Parts
 from hident.records import Estimate, Record
