@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 import hident
 from hident import arithmetic, console, stopping
 from hident.config.suggest import did_you_mean, one_of
-from hident.errors import ConfigError, Exit, HidentError
+from hident.errors import Exit, HidentError
 
 if TYPE_CHECKING:
     from hident.engine.experiment import Plan
@@ -437,6 +437,56 @@ def export(
 
     [plan] = _plans([config], assignments, trials, seed, plugin)
     print(export(plan, store, file))
+
+
+@app.command("identify")
+def identify_command(
+    files: Samples,
+    input_: InputColumn = None,
+    output: OutputColumn = None,
+    dt: Dt = None,
+    time: Time = None,
+    estimate: Estimate = None,
+    validate: Validate = None,
+    detrend: Detrend = None,
+    resample: Resample = None,
+    decimate: Decimate = None,
+    gaps: Gaps = None,
+    structure: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="linear, hammerstein, wiener, wiener_hammerstein or hammerstein_wiener; by default all.",
+        ),
+    ] = None,
+    n_init: Annotated[
+        int | None,
+        typer.Option("--n-init", min=0, help="First samples of each experiment that are not fitted."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write to (default: out/identify_FILE).")] = None,
+) -> None:
+    """Find a model of a measured record.
+
+    Structures, orders and static functions are tried, and chosen by samples that are kept apart.
+    """
+    from hident.commands.identifying import identify_file
+
+    identify_file(
+        files,
+        structure or (),
+        n_init,
+        out,
+        input=input_,
+        output=output,
+        dt=dt,
+        time=time,
+        estimation=estimate,
+        validation=validate,
+        detrend=detrend,
+        resample=resample,
+        decimate=decimate,
+        gaps=gaps,
+    )
 
 
 @app.command()

@@ -32,11 +32,12 @@ def print_model(file: Path, out: Path | None) -> None:
     model = load_model(file)
     print(formulas(model))
     if out is not None:
-        names = _draw(model, out)
+        names = draw_model(model, out)
         print(f"\n{out}: {', '.join(names)}")
 
 
-def _draw(model: FittedModel, folder: Path) -> list[str]:
+def draw_model(model: FittedModel, folder: Path) -> list[str]:
+    """Draw a model into a folder; the names of the files."""
     from hident.reports.model_figures import figures
 
     try:
@@ -45,11 +46,12 @@ def _draw(model: FittedModel, folder: Path) -> list[str]:
         raise StoreError(f"{folder} cannot be made: {(error.strerror or str(error)).lower()}") from None
     found = figures(model)
     for name, draw in found.items():
-        _save(folder / name, draw)
+        save_figure(folder / name, draw)
     return list(found)
 
 
-def _save(path: Path, draw: Any) -> None:
+def save_figure(path: Path, draw: Any) -> None:
+    """Draw a figure in the house's style, whole or not at all."""
     from hident.reports.style import style, typeset
 
     with style(), replacing(path) as new, np.errstate(all="ignore"):
@@ -111,7 +113,7 @@ def simulate_model(
     if out is not None:
         run.write(out)
     if plot is not None:
-        _save(plot, run.figure)
+        save_figure(plot, run.figure)
     for line in run.said(data):
         print(line)
     for path in filter(None, (out, plot)):

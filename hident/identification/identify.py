@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,9 @@ from hident.estimators.prediction_error.prediction_error import PredictionError
 from hident.identification.candidates import FIRST_STATIC, STATIC, STRUCTURES, Orders, chain, orders_of
 from hident.identification.continuation import continued
 from hident.identification.delay import delay
-from hident.records import Record
+from hident.numerics.judgement import Residuals, judgement
+from hident.numerics.parts import Parts, following, joined
+from hident.records import Estimate, Record
 
 # Orders and functions are compared by fits to so many samples, those of linear models to fewer.
 _COMPARED, _LINEAR = 12000, 4000
@@ -67,65 +70,93 @@ class Trial:
 
 
 @dataclass(frozen=True, eq=False)
+class Split:
+    """What is fitted, and what is kept apart: the samples ``kept`` of ``validation``, ``said`` in words."""
+
+    estimation: Data
+    everything: Data
+    validation: Data
+    kept: Any
+    kept_experiments: Parts
+    said: str
+
+    def simulated(self, model: BlockChain) -> Array:
+        """The output of a chain at the samples kept apart."""
+        return np.asarray(simulated(self.validation, model)[self.kept])
+
+    @property
+    def output(self) -> Array:
+        """The measured output at the samples kept apart."""
+        return np.asarray(self.validation.y[self.kept])
+
+    @property
+    def input(self) -> Array:
+        """The input at the samples kept apart."""
+        return np.asarray(self.validation.u[self.kept])
+
+
+def split(record: Record, n_init: int | None) -> Split:
+    """The validation record if there is one, else the last fifth of each experiment."""
+    shortest = min(part.stop - part.start for part in record.experiments)
+    initial = min(_MOST_INITIAL, shortest // _INITIAL_SHARE) if n_init is None else n_init
+    everything = Data(record.u, record.y, record.experiments, "settled", initial)
+    if record.validation is not None:
+        other = record.validation
+        kept = Data(other.u, other.y, other.experiments, "settled", initial)
+        return Split(
+            everything,
+            everything,
+            kept,
+            kept.counted,
+            following(kept.experiments, initial),
+            f"the record for validation, {kept.count} samples",
+        )
+    cuts = [part.start + round((part.stop - part.start) * (1.0 - _KEPT_APART)) for part in record.experiments]
+    firsts = [slice(part.start, cut) for part, cut in zip(record.experiments, cuts, strict=True)]
+    lasts = [np.arange(cut, part.stop) for part, cut in zip(record.experiments, cuts, strict=True)]
+    u, y = (np.concatenate([signal[first] for first in firsts]) for signal in (record.u, record.y))
+    several = " of each experiment" if len(firsts) > 1 else ""
+    tails = np.concatenate(lasts)
+    return Split(
+        Data(u, y, joined(first.stop - first.start for first in firsts), "settled", initial),
+        everything,
+        everything,
+        tails,
+        joined(map(len, lasts)),
+        f"the last fifth{several}, {len(tails)} samples",
+    )
+
+
+@dataclass(frozen=True, eq=False)
 class Identification:
     """All that was tried, and what was chosen.
 
     ``chosen`` is the trial with the fewest numbers among those whose mean squared error on the samples kept
-    apart is within one standard error of the least (of the difference, in batches); ``model_fit`` is its
-    fit to all samples, ``kept_apart`` says which samples the choice was made by.
+    apart is within one standard error of the least (of the difference, in batches; ``within`` counts the
+    places of these trials), ``model_fit`` its fit to all samples, and ``parts`` what it was chosen by.
     """
 
     trials: tuple[Trial, ...]
     within: frozenset[int]
     chosen: Trial
     model_fit: ChainFit
-    kept_apart: str
-    n_init: int
+    parts: Split
 
+    def estimate(self, record: Record) -> Estimate:
+        """The chosen model, fitted to all of the record."""
+        return self.chosen.spec.estimate(self.model_fit, record)
 
-@dataclass(frozen=True, eq=False)
-class Split:
-    """What is fitted, and what is kept apart."""
+    def residuals(self) -> Residuals:
+        """What the chosen model leaves of the samples kept apart, before it was fitted to all.
 
-    estimation: Data
-    everything: Data
-    validated: Callable[[BlockChain], Array]
-    """The errors of a chain's simulation at the samples kept apart."""
-    said: str
-
-
-def split(record: Record, n_init: int | None) -> tuple[Split, int]:
-    """The validation record if there is one, else the last fifth of each experiment; and n_init."""
-    shortest = min(part.stop - part.start for part in record.experiments)
-    initial = min(_MOST_INITIAL, shortest // _INITIAL_SHARE) if n_init is None else n_init
-    everything = Data(record.u, record.y, record.experiments, "settled", initial)
-    if record.validation is not None:
-        kept = record.validation
-        data = Data(kept.u, kept.y, kept.experiments, "settled", initial)
-        return Split(
-            everything, everything, lambda model: _errors(model, data), "the validation record"
-        ), initial
-    firsts, lasts, place = [], [], 0
-    pieces: list[slice] = []
-    for part in record.experiments:
-        cut = part.start + round((part.stop - part.start) * (1.0 - _KEPT_APART))
-        firsts.append(slice(place, place + cut - part.start))
-        place += cut - part.start
-        pieces.append(slice(part.start, cut))
-        lasts.append(np.arange(cut, part.stop))
-    u, y = (np.concatenate([signal[piece] for piece in pieces]) for signal in (record.u, record.y))
-    tails = np.concatenate(lasts)
-
-    def validated(model: BlockChain) -> Array:
-        return (everything.y - simulated(everything, model))[tails]
-
-    experiments = " of each experiment" if len(firsts) > 1 else ""
-    said = f"the last fifth{experiments}"
-    return Split(Data(u, y, tuple(firsts), "settled", initial), everything, validated, said), initial
-
-
-def _errors(model: BlockChain, data: Data) -> Array:
-    return np.asarray((data.y - simulated(data, model))[data.counted])
+        Raises
+        ------
+        EstimationError
+            If these are too few to judge by.
+        """
+        assert self.chosen.fit is not None
+        made = self.parts.simulated(self.chosen.fit.point.parameters.chain)
+        return judgement(self.parts.input, self.parts.output, made, self.parts.kept_experiments)
 
 
 def identify(
@@ -154,7 +185,8 @@ def identify(
     EstimationError
         If nothing could be fitted.
     """
-    parts, initial = split(record, n_init)
+    parts = split(record, n_init)
+    initial = parts.everything.n_init
     short = parts.estimation.busiest(_COMPARED)
     trials: list[Trial] = []
 
@@ -183,17 +215,16 @@ def identify(
     assert chosen.fit is not None
     if len(short.u) < len(parts.estimation.u):
         fit = continued(chosen.spec.structure(), chosen.fit.point.parameters.chain, parts.estimation)
+        fit = _counted_as(fit, chosen.fit)
         chosen = tried(_judged(chosen.structure, chosen.spec, fit, parts))
         wanted = [*wanted, chosen]
     model_fit = chosen.fit
     assert model_fit is not None
     if parts.everything is not parts.estimation:
         again = continued(chosen.spec.structure(), model_fit.point.parameters.chain, parts.everything)
-        model_fit = replace(
-            again, starts=model_fit.starts, finalists=model_fit.finalists, agreeing=model_fit.agreeing
-        )
+        model_fit = _counted_as(again, model_fit)
     within = frozenset(i for i, one in enumerate(trials) if one in _near_the_best(wanted))
-    return Identification(tuple(trials), within, chosen, model_fit, parts.said, initial)
+    return Identification(tuple(trials), within, chosen, model_fit, parts)
 
 
 def _grow(
@@ -226,7 +257,7 @@ def _grow(
         if found:
             best = min(found, key=lambda one: one.rms)
             assert best.fit is not None
-            spec = chain(structure, _orders(best.spec), static, n_init=initial)
+            spec = chain(structure, list(_orders(best.spec)), static, n_init=initial)
             tried(_gone_on(structure, spec, best.fit, short, parts))
         elif static["kind"] != FIRST_STATIC["kind"]:
             # An input of few levels may tell the numbers of simpler functions apart.
@@ -248,14 +279,20 @@ def _fitted(structure: str, spec: PredictionError, data: Data, parts: Split, mos
 
 def _gone_on(structure: str, spec: PredictionError, fit: ChainFit, data: Data, parts: Split) -> Trial:
     try:
-        return _judged(structure, spec, continued(spec.structure(), fit.point.parameters.chain, data), parts)
+        found = continued(spec.structure(), fit.point.parameters.chain, data)
+        return _judged(structure, spec, _counted_as(found, fit), parts)
     except (EstimationError, np.linalg.LinAlgError) as error:
         return Trial(structure, spec, reason=str(error))
 
 
+def _counted_as(fit: ChainFit, search: ChainFit) -> ChainFit:
+    """The fit with the starts of the search that it goes on from."""
+    return replace(fit, starts=search.starts, finalists=search.finalists, agreeing=search.agreeing)
+
+
 def _judged(structure: str, spec: PredictionError, fit: ChainFit, parts: Split) -> Trial:
     with np.errstate(all="ignore"):
-        errors = parts.validated(fit.point.parameters.chain)
+        errors = parts.output - parts.simulated(fit.point.parameters.chain)
     if not np.all(np.isfinite(errors)):
         return Trial(structure, spec, reason="the simulation of the samples kept apart is not finite")
     estimation = float(np.sqrt(fit.point.loss / fit.point.data.count))

@@ -215,15 +215,18 @@ class MeasuredRecord(Spec):
         ConfigError
             If a file cannot be read, or its samples do not suit.
         """
-        selections = [self] if self.validation is None else [self, self.validation]
-        for one in selections:
-            if same := set(map(str, one.input or self.input)) & set(map(str, one.output or self.output)):
+        other = self.validation or Selection()
+        for inputs, outputs in (
+            (self.input, self.output),
+            (other.input or self.input, other.output or self.output),
+        ):
+            if same := set(map(str, inputs)) & set(map(str, outputs)):
                 raise ConfigError(f"the input and the output are one column, '{min(same)}'")
         with np.errstate(all="ignore"):
             return self._read(folder)
 
     def read_input(self, folder: Path) -> Record:
-        """The record of an input alone: its output is the column that ``output`` names, which may be the same.
+        """The record of an input alone: the output may be the same column, and means nothing then.
 
         Raises
         ------

@@ -29,7 +29,6 @@ ADDED = {
     "hident list estimators kernel": "",
     "hident schema": "",
     "hident doctor": "",
-    "hident show": "data.csv --input u --output y",
     "hident validate": "my.yaml",
     "hident run": "my.yaml --set excitation.high=2*pi --trials 20 --jobs 1 --out overridden",
     "hident status": "my.yaml --trials 2 --out mine",

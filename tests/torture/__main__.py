@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import random
+import signal
 import sys
 import time
 
@@ -22,6 +23,8 @@ def main() -> int:
     parser.add_argument("--count", type=int, help="how many faults of a kind, by its own measure")
     parser.add_argument("--seed", type=int, default=1, help="of the random faults")
     options = parser.parse_args()
+    # In the background of a script, SIGINT is ignored, and so it would be in all that is started here.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     tally = Tally()
     for name in options.only or KINDS:
         start = time.monotonic()

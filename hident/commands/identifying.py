@@ -1,0 +1,267 @@
+"""From a file of samples to a model: the verb identify."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from hident import __version__
+from hident.commands.measured import record_of
+from hident.commands.models import draw_model, save_figure
+from hident.commands.showing import print_columns
+from hident.config.spec import canonical
+from hident.config.suggest import did_you_mean, one_of
+from hident.errors import ConfigError, EstimationError, StoreError
+from hident.fitted_model import FittedModel
+from hident.identification.candidates import STRUCTURES
+from hident.identification.identify import Identification, Trial, identify
+from hident.measurements.measured_record import MeasuredRecord
+from hident.models.formulas import formulas
+from hident.models.model_file import write_model
+from hident.new_files import replacing
+from hident.records import Record
+
+_SHOWN_OF_EACH = 3
+
+
+def identify_file(
+    files: Sequence[Path], structures: Sequence[str], n_init: int | None, out: Path | None, **options: Any
+) -> None:
+    """Fit structures to the record of some files, print what came out, and write it to a folder.
+
+    Raises
+    ------
+    ConfigError
+        If the record cannot be read, a structure is unknown, or nothing could be fitted.
+    """
+    for name in structures:
+        if name not in STRUCTURES:
+            near = did_you_mean(name, list(STRUCTURES))
+            raise ConfigError(
+                f"--structure: unknown structure '{name}'{near} (allowed: {one_of(STRUCTURES)})"
+            )
+    spec = record_of(files, **options)
+    record = spec.read(Path())
+    folder = out or Path("out") / f"identify_{files[0].stem}"
+    begun = time.monotonic()
+    try:
+        found = identify(record, structures or tuple(STRUCTURES), n_init=n_init, tell=_Progress(begun))
+        model = _model(found, record, spec)
+    except EstimationError as error:
+        raise ConfigError(f"{one_of(map(str, files))}: {error}") from None
+    finally:
+        _clear()
+    lines = list(_said(found, record))
+    print_columns(_rows(found, record, _SHOWN_OF_EACH))
+    for line in lines:
+        print(line)
+    print(formulas(model))
+    written = _write(folder, found, record, spec, model, lines)
+    print(f"\n{folder}: {', '.join(written)} ({time.monotonic() - begun:.0f} s)")
+
+
+class _Progress:
+    """A line on a terminal that says what has been tried."""
+
+    def __init__(self, begun: float) -> None:
+        self.begun, self.count = begun, 0
+
+    def __call__(self, trial: Trial) -> None:
+        self.count += 1
+        if sys.stderr.isatty():
+            text = f"{self.count} tried, {time.monotonic() - self.begun:.0f} s: {trial.structure}"
+            print(f"\r{text:70}", end="", file=sys.stderr, flush=True)
+
+
+def _clear() -> None:
+    if sys.stderr.isatty():
+        print(f"\r{'':70}\r", end="", file=sys.stderr, flush=True)
+
+
+def _model(found: Identification, record: Record, spec: MeasuredRecord) -> FittedModel:
+    model = found.estimate(record).model
+    assert isinstance(model, FittedModel)
+    signals = model.signals(record)[:-1]
+    about = {
+        **model.about,
+        "input": ",".join(map(str, spec.input)),
+        "output": ",".join(map(str, spec.output)),
+        "units": {name: unit for name, unit in record.units.items() if unit},
+        "data": {Path(file).name: MeasuredRecord.digest(_one(spec, file), Path()) for file in spec.file},
+        "hident": __version__,
+        "command": shlex.join(["hident", *sys.argv[1:]]),
+        "chosen_on": found.parts.said,
+        "offsets": dict(record.offsets),
+    }
+    ranges = tuple((float(np.min(x)), float(np.max(x))) for x in signals)
+    return replace(model, about=about, ranges=ranges)
+
+
+def _one(spec: MeasuredRecord, file: str) -> MeasuredRecord:
+    return spec.model_copy(update={"file": (file,), "validation": None})
+
+
+def blocks_in_words(trial: Trial) -> str:
+    """The blocks of a trial: ``3/2 z-1`` has 3 numerator coefficients, 2 poles and a delay of 1."""
+    words = []
+    for block in trial.spec.blocks:
+        written = canonical(block)
+        match written["kind"]:
+            case "linear":
+                delay = f" z-{written['nk']}" if written.get("nk") else ""
+                words.append(f"{written['nb']}/{written.get('nf', 0)}{delay}")
+            case "polynomial":
+                words.append(f"degree {written['degree']}")
+            case kind:
+                words.append(f"{kind.replace('_', ' ')} {written.get('knots', '')}".strip())
+    return ", ".join(words)
+
+
+def _rows(found: Identification, record: Record, most: int | None) -> list[tuple[str, ...]]:
+    """The table of what was tried: the best of each structure first."""
+    spread = float(np.std(found.parts.output)) or 1.0
+    unit = record.units.get("output", "")
+    rmse = f"RMSE {unit}".strip()
+    rows = [
+        (
+            "structure",
+            "blocks",
+            "numbers",
+            f"fitted {rmse}",
+            f"kept apart {rmse}",
+            "fit %",
+            "BIC",
+            "starts",
+            "",
+        )
+    ]
+    done = [(i, one) for i, one in enumerate(found.trials) if one.fit is not None]
+    order = sorted(done, key=lambda pair: pair[1].rms)
+    seen: dict[str, int] = {}
+    for i, one in order:
+        seen[one.structure] = seen.get(one.structure, 0) + 1
+        if most is not None and seen[one.structure] > most and one is not found.chosen:
+            continue
+        assert one.fit is not None
+        fit = 100.0 * (1.0 - one.rms / spread)
+        mark = "chosen" if one is found.chosen else "within one standard error" if i in found.within else ""
+        rows.append(
+            (
+                one.structure,
+                blocks_in_words(one),
+                str(one.count),
+                f"{one.estimation:.4g}",
+                f"{one.rms:.4g}",
+                f"{fit:.2f}" if fit > -1e4 else "-",
+                f"{one.bic:.0f}",
+                f"{one.fit.agreeing} of {one.fit.finalists}",
+                mark,
+            )
+        )
+    return rows
+
+
+def _said(found: Identification, record: Record) -> Iterator[str]:
+    shown = sum(one.fit is not None for one in found.trials)
+    yield ""
+    yield (
+        f"{len(found.trials)} chains tried, {shown} fitted; chosen by the simulation of {found.parts.said}, "
+        f"without the first {found.parts.everything.n_init} samples of what is fitted"
+    )
+    reasons: dict[str, int] = {}
+    for one in found.trials:
+        if one.reason:
+            reasons[f"{one.structure}: {one.reason}"] = reasons.get(f"{one.structure}: {one.reason}", 0) + 1
+    for reason, count in reasons.items():
+        yield f"not fitted ({count}): {reason}"
+    if found.model_fit.finalists > 1 and found.model_fit.agreeing == 1:
+        yield "warning: only one of the starts came to this optimum: there may be a better one"
+    if found.parts.everything is not found.parts.estimation:
+        yield "the chosen chain was then fitted to all samples"
+    yield "what it leaves of the samples kept apart:"
+    try:
+        for sentence in found.residuals().sentences:
+            yield f"- {sentence}"
+    except EstimationError as error:
+        yield f"- {error}"
+    yield ""
+
+
+def _write(
+    folder: Path,
+    found: Identification,
+    record: Record,
+    spec: MeasuredRecord,
+    model: FittedModel,
+    lines: Sequence[str],
+) -> list[str]:
+    from hident.reports.model_figures import comparison
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"{folder} cannot be made: {(error.strerror or str(error)).lower()}") from None
+    write_model(model, folder / "model.json")
+    rows = _rows(found, record, None)
+    with replacing(folder / "table.md") as new:
+        head = [f"# What was tried on {one_of(spec.file)}", ""]
+        table = ["| " + " | ".join(row) + " |" for row in rows]
+        table.insert(1, "| " + " | ".join("---" for _ in rows[0]) + " |")
+        new.write_text("\n".join([*head, *table, *lines, ""]), encoding="utf-8")
+    with replacing(folder / "experiment.yaml") as new:
+        new.write_text(_experiment(found, spec, folder), encoding="utf-8")
+    names = ["model.json", "table.md", "experiment.yaml", *draw_model(model, folder)]
+    kept = found.parts.kept_experiments
+    units = record.units
+    labels = [
+        name + (f" ({units[side]})" if units.get(side) else "")
+        for name, side in ((one_of(spec.input), "input"), (one_of(spec.output), "output"))
+    ]
+    assert found.chosen.fit is not None
+    made = found.parts.simulated(found.chosen.fit.point.parameters.chain)
+    step, label = (record.dt or 1.0), "sample"
+    if record.dt is not None and len(kept) == 1:
+        label = f"time ({units['time']})" if units.get("time") else "time"
+    instants = np.arange(len(made)) * (step if label != "sample" else 1.0)
+    save_figure(
+        folder / "kept_apart.png",
+        lambda: comparison(
+            instants, label, found.parts.input, made, found.parts.output, (labels[0], labels[1], "simulation")
+        ),
+    )
+    return [*names, "kept_apart.png"]
+
+
+def _experiment(found: Identification, spec: MeasuredRecord, folder: Path) -> str:
+    """The chosen model as a configuration, whose files are named from its folder."""
+    record = canonical(spec)
+    files = [Path(file).resolve() for file in spec.file]
+    record["file"] = [_from(folder, file) for file in files]
+    chosen = canonical(found.chosen.spec)
+    on = "validation" if spec.validation else "estimation"
+    written = {
+        "version": 1,
+        "title": f"The model that was chosen for {one_of(spec.file)}",
+        "record": record,
+        "trials": 1,
+        "estimators": {"chosen": chosen},
+        "metrics": {"fit": {"kind": "fit_index", "on": on, "n_init": found.parts.everything.n_init}},
+    }
+    return yaml.safe_dump(written, sort_keys=False, allow_unicode=True)
+
+
+def _from(folder: Path, file: Path) -> str:
+    try:
+        import os
+
+        return Path(os.path.relpath(file, folder.resolve())).as_posix()
+    except ValueError:
+        return file.as_posix()
