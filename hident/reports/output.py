@@ -6,7 +6,7 @@ import hashlib
 import platform
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cached_property
 from importlib.metadata import version
@@ -133,6 +133,7 @@ def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str,
     """The text of table.md."""
     experiment = results.plan.experiment
     parts = [f"# {experiment.title}", f"{results.plan.trials} trials, seed {results.plan.seed}."]
+    parts += filter(None, [" ".join(_once(unit.data.says() for unit in results.plan.units))])
     if said := list(scoring(results.plan)):
         parts.append(" ".join(said))
     parts += [table.markdown() for table in tables.values()]
@@ -144,6 +145,11 @@ def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str,
         parts.append(f"Printed numbers: {len(words)}, of which {counts}.")
         parts += _differences(verdicts)
     return "\n\n".join(parts) + "\n"
+
+
+def _once(sentences: Iterable[str]) -> Iterator[str]:
+    """The sentences that say something, each where it stands first."""
+    return filter(None, dict.fromkeys(sentences))
 
 
 def _plain_table(results: Results) -> Table:
