@@ -134,6 +134,7 @@ class TestExpansion:
             0.2,
             9.0,
         )
+        assert plan.experiment.excitation is not None
         assert plan.experiment.excitation.kind == "iid"
 
     def test_a_label_may_leave_the_file_as_it_is(self, write):
