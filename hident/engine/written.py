@@ -72,7 +72,7 @@ class Written(Spec):
 def _unclear(written: Mapping[str, Any]) -> list[Problem]:
     """What stands beside a record; without one, what is wrong with the simulation."""
     simulation = {name: written[name] for name in _SIMULATION if name in written}
-    if "record" in written:
+    if written.get("record") is not None:
         message = f"cannot stand beside 'record', which takes the place of {one_of(_SIMULATION)}"
         return [Problem((name,), message, value) for name, value in simulation.items()]
     try:

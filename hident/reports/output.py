@@ -6,7 +6,7 @@ import hashlib
 import platform
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cached_property
 from importlib.metadata import version
@@ -133,7 +133,8 @@ def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str,
     """The text of table.md."""
     experiment = results.plan.experiment
     parts = [f"# {experiment.title}", f"{results.plan.trials} trials, seed {results.plan.seed}."]
-    parts += filter(None, [" ".join(_once(unit.data.says() for unit in results.plan.units))])
+    if records := _records(results.plan):
+        parts.append(" ".join(records))
     if said := list(scoring(results.plan)):
         parts.append(" ".join(said))
     parts += [table.markdown() for table in tables.values()]
@@ -147,9 +148,9 @@ def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str,
     return "\n\n".join(parts) + "\n"
 
 
-def _once(sentences: Iterable[str]) -> Iterator[str]:
-    """The sentences that say something, each where it stands first."""
-    return filter(None, dict.fromkeys(sentences))
+def _records(plan: Plan) -> list[str]:
+    """What is said of the measured records, each once."""
+    return [*filter(None, dict.fromkeys(unit.data.says() for unit in plan.units))]
 
 
 def _plain_table(results: Results) -> Table:
@@ -224,12 +225,13 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
 
 def _described(plan: Plan) -> dict[str, Any]:
     """The experiment in run.json."""
-    resolved = canonical(plan.experiment)
+    resolved, records = canonical(plan.experiment), _records(plan)
     return {
         "config": plan.name,
         "hash": digest(resolved),
         "seed": plan.seed,
         "trials": plan.trials,
+        **({"records": records} if records else {}),
         "resolved": resolved,
     }
 

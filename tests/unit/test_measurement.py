@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -154,7 +155,10 @@ def test_tables_name_the_record(folder: Path) -> None:
     Outputs(plan, folder / "out").write(run(plan), {})
     said = (folder / "out" / "table.md").read_text(encoding="utf-8")
     sha256 = plan.units[0].data.sha256  # type: ignore[attr-defined]
-    assert f"\nMeasured record tank.csv: 60 samples, dt 4, SHA-256 {sha256[:12]}.\n" in said
+    record = f"Measured record tank.csv: 60 samples, dt 4, SHA-256 {sha256[:12]}."
+    assert f"\n{record}\n" in said
+    run_json = json.loads((folder / "out" / "run.json").read_text(encoding="utf-8"))
+    assert run_json["experiment"]["records"] == [record]
 
 
 class TestKeys:
@@ -205,6 +209,24 @@ class TestCases:
         records = [OneTrial(plan, 0).record(unit.data)[0] for unit in plan.units]
         once, twice = (record.y for record in records if record is not None)
         assert np.array_equal(2 * once, twice)
+
+    def test_an_axis_chooses_between_a_simulation_and_a_record(self, folder: Path) -> None:
+        section, axes = (
+            CONFIG.splitlines()[2],
+            """\
+cases:
+  source:
+    measured: {"record": {file: tank.csv, input: u, output: y, dt: 4}}
+    simulated:
+      record: null
+      samples: 80
+      system: {kind: hammerstein, nonlinearity: abs, linear: {kind: fir, b: [0, 1]}}
+      excitation: {kind: iid, distribution: uniform, low: -1, high: 1}
+""",
+        )
+        plan = planned(folder, replaced(CONFIG, {f"{section}\n": ""}) + axes)
+        assert [unit.data.samples for unit in plan.units] == [60, 80]
+        assert _keys(plan)[0] == _keys(planned(folder, CONFIG))[0]
 
     def test_set_changes_the_record(self, folder: Path) -> None:
         assert planned(folder, CONFIG, "record.dt=0.5").units[0].data.dt == 0.5
@@ -330,6 +352,15 @@ class TestWorkers:
         measurement._HELD.clear()
         with pytest.raises(ConfigError, match=r"is not the one that the run began with|no such file"):
             run(plan)
+
+    def test_one_in_a_pool_reads_for_itself(self, folder: Path) -> None:
+        plan = planned(folder, CONFIG)
+        _write(folder / "tank.csv", moved=1.0)
+        with (
+            make_executor(2, []) as executor,
+            pytest.raises(ConfigError, match="is not the one that the run began with"),
+        ):
+            run(plan, executor=executor)
 
     def test_each_process_reads_it_once(self, folder: Path) -> None:
         plan = planned(folder, CONFIG)
