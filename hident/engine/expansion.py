@@ -339,6 +339,7 @@ def _unsound(unit: Unit, metric: MetricSpec) -> Iterator[str]:
                 data.excitation,
                 estimator.provides(),
                 estimator.discrete_step(data.dt),
+                data.validated,
             )
         )
     except (ValueError, ArithmeticError) as error:

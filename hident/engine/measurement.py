@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from hident.arrays import Array
-from hident.config.spec import Count, Family, Spec, canonical
+from hident.config.spec import Count, Family, Flag, Spec, canonical
 from hident.engine.trial import Data, Excitation, Job, System, digest, estimate
 from hident.errors import ConfigError, EstimationError
 from hident.estimators.base import EstimatorSpec, require_finite
@@ -86,6 +86,8 @@ class Measurement(Data):
     """Where its file's name is meant from."""
     sha256: str
     """Hash of the file when the plan was made."""
+    with_validation: Flag = False
+    """Whether the record has a validation part."""
 
     @classmethod
     def of(cls, section: RecordSection, folder: Path) -> Measurement:
@@ -110,6 +112,7 @@ class Measurement(Data):
             record=section,
             folder=folder,
             sha256=sha256,
+            with_validation=record.validation is not None,
         )
         if section.digest(folder) != sha256:
             raise ConfigError("its file changed while it was read: try again")
@@ -126,6 +129,10 @@ class Measurement(Data):
     @property
     def resampled(self) -> bool:
         return self.record.bootstrap is not None
+
+    @property
+    def validated(self) -> bool:
+        return self.with_validation
 
     def require(self) -> None:
         self._read()

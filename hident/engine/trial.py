@@ -96,6 +96,11 @@ class Data(Spec):
         """Whether :meth:`record_for` gives each estimator records of its own."""
         return False
 
+    @property
+    def validated(self) -> bool:
+        """Whether the records have a validation part."""
+        return False
+
     def require(self) -> None:
         """Raise ConfigError if this process cannot have the records."""
 

@@ -235,6 +235,43 @@ cases:
         assert ("two-stage", "b b_3") in _values(planned(folder, text))
 
 
+FITTED = """\
+  pem:
+    kind: prediction_error
+    blocks: [{kind: polynomial, degree: 2}, {kind: linear, nb: 2, nf: 0, nk: 1}]
+"""
+
+
+class TestValidation:
+    TEXT = replaced(
+        CONFIG,
+        {
+            "dt: 4": "dt: 4, estimation: 1..40, validation: {samples: 41..60}",
+            "  two-stage: {kind: two_stage, lags: 3, degree: 2}\n": FITTED,
+            "{kind: value, of: [b_1, b_2]}": "{kind: rmse, on: validation, n_init: 2}",
+        },
+    )
+
+    def test_a_metric_scores_the_validation_part(self, folder: Path) -> None:
+        [(error,)] = _values(planned(folder, self.TEXT)).values()
+        # The noise has standard deviation 0.1.
+        assert 0.05 < error < 0.15
+
+    def test_a_record_without_one_is_refused(self, folder: Path) -> None:
+        (said,) = refusals(folder, self.TEXT, "record.validation=null")
+        assert "the metric 'rmse' is on a validation record, and this record has none" in said
+
+    def test_bootstraps_spread_as_the_standard_errors_say(self, folder: Path) -> None:
+        words = {
+            "dt: 4, ": f"{BOOTSTRAP}, ",
+            "trials: 1": "trials: 40",
+            "{kind: rmse, on: validation, n_init: 2}": "{kind: value, of: [b_1, se_b_1]}",
+        }
+        values = _values(planned(folder, replaced(self.TEXT, words)))
+        spread, error = np.std(values["pem", "b b_1"]), np.mean(values["pem", "b se_b_1"])
+        assert 0.6 < spread / error < 1.6
+
+
 class TestRefusals:
     @pytest.mark.parametrize(
         ("words", "messages"),
