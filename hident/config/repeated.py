@@ -250,6 +250,8 @@ def _item(annotation: Any) -> Any:
 
 def _fields(annotation: Any, value: Mapping[str, Any]) -> Mapping[str, Any]:
     """What stands under each key of a mapping."""
+    if get_origin(annotation) in (Union, types.UnionType):
+        return next(filter(None, (_fields(one, value) for one in get_args(annotation))), {})
     if get_origin(annotation) is Annotated:
         for mark in get_args(annotation)[1:]:
             if isinstance(mark, Of):

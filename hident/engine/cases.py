@@ -15,11 +15,11 @@ from hident.config.spec import Spec
 from hident.config.suggest import did_you_mean, one_of, there_is_no
 from hident.config.variables import cannot_join, stands_alone, stuck, texts, unknown, variables_in
 from hident.config.yaml12 import Complaint, Location, Place, error_of, shown
-from hident.engine.trial import Data
+from hident.engine.written import Written
 from hident.errors import ConfigError
 
 Label = str | float | int
-DATA = tuple(Data.model_fields)
+DATA = tuple(Written.model_fields)
 CHANGEABLE = (*DATA, "estimators", "metrics")
 # The other columns of the tables of results and of exported trials.
 _COLUMNS = ("estimator", "metric", "trials", "failed", "mean", "std", "se", "median")

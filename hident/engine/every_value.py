@@ -59,13 +59,11 @@ def _scored(first: Document, metric: Mapping[str, Any]) -> list[str]:
     written = metric.get("estimators")
     names = [one for one in written if isinstance(one, str)] if isinstance(written, list) else list(every)
     try:
-        system = Of("system").validate(first.data.get("system"))
+        true = _truth(first)
         estimators = [Of("estimator").validate(every[name]) for name in names if name in every]
     except ValidationError:
         # Which is told as well.
         return []
-    assert isinstance(system, SystemSpec)
-    true = system.provides()
     estimated = [e.provides() for e in estimators if isinstance(e, EstimatorSpec)]
     prefix = metric.get("prefix", "")
     candidates = {
@@ -77,6 +75,15 @@ def _scored(first: Document, metric: Mapping[str, Any]) -> list[str]:
     return sorted(
         (name for name in candidates if _scores({**metric, "of": [name]}, true, estimated)), key=_by_size
     )
+
+
+def _truth(first: Document) -> frozenset[str]:
+    """What is known of the system: nothing of that behind a measured record."""
+    if first.data.get("record") is not None:
+        return frozenset()
+    system = Of("system").validate(first.data.get("system"))
+    assert isinstance(system, SystemSpec)
+    return system.provides()
 
 
 def _scores(metric: Mapping[str, Any], true: frozenset[str], estimated: list[frozenset[str]]) -> bool:

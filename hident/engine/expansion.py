@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
@@ -20,6 +21,8 @@ from hident.engine.cases import CHANGEABLE, DATA, Axis, Label, Skip
 from hident.engine.comparable import incomparable
 from hident.engine.fingerprint import fingerprint, libraries
 from hident.engine.trial import Data, digest
+from hident.engine.written import Written
+from hident.errors import ConfigError
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec, Scored
 
@@ -219,10 +222,14 @@ class Expansion:
             document = self.document(dict(relevant))
             location: Location = () if root == ("data",) else root
             try:
-                self._parts[root, relevant] = _validated(root, document.data)
+                self._parts[root, relevant] = _validated(root, document)
             except ValidationError as error:
                 self._parts[root, relevant] = None
                 self._complaints += document.complaints_of(problems_of(error, location))
+            except ConfigError as error:
+                self._parts[root, relevant] = None
+                problems = [Problem(("record",), line) for line in str(error).splitlines()]
+                self._complaints += document.complaints_of(problems)
         return self._parts[root, relevant]
 
     def _complain(self, location: Location, message: str) -> None:
@@ -238,14 +245,17 @@ class _Compared:
     choice: Mapping[int, int]
 
 
-def _validated(root: tuple[str, ...], data: Mapping[str, Any]) -> Any:
+def _validated(root: tuple[str, ...], document: Document) -> Any:
+    """The component or the data; ConfigError if a measured record cannot be read."""
+    data = document.data
     match root:
         case ("estimators", name):
             return Of("estimator").validate(data["estimators"][name])
         case ("metrics", name):
             return Of("metric").validate(data["metrics"][name])
         case _:
-            return Data.model_validate({name: data[name] for name in DATA if name in data})
+            written = Written.model_validate({name: data[name] for name in DATA if name in data})
+            return written.data(Path(document.name).parent)
 
 
 def not_given(needs: frozenset[str], given: frozenset[str]) -> list[str]:
@@ -295,8 +305,7 @@ def _mismatches(unit: Unit) -> Iterator[Problem]:
     for need in not_given(unit.estimator.needs_of_truth(), true):
         yield Problem(
             ("estimators", unit.name),
-            f"the estimator '{unit.estimator.kind}' needs the {need} of the system, which "
-            f"'{data.system.kind}' does not have (it has: {one_of(sorted(true))})",
+            f"the estimator '{unit.estimator.kind}' {data.lacks(need)}",
         )
     for name, metric in unit.metrics.items():
         messages = list(_unmet(unit, metric, true, estimated))
@@ -309,10 +318,7 @@ def _unmet(unit: Unit, metric: MetricSpec, true: frozenset[str], estimated: froz
     """What a metric needs and does not get."""
     unknown = not_given(metric.needs_of_truth(), true)
     for need in unknown:
-        yield (
-            f"the metric '{metric.kind}' needs the {need} of the system, which "
-            f"'{unit.data.system.kind}' does not have (it has: {one_of(sorted(true))})"
-        )
+        yield f"the metric '{metric.kind}' {unit.data.lacks(need)}"
     for need in sorted({*not_given(metric.needs_of_estimate(), estimated)} - {*unknown}):
         yield (
             f"the metric '{metric.kind}' needs the {need} of the estimate, which estimator "
@@ -333,6 +339,7 @@ def _unsound(unit: Unit, metric: MetricSpec) -> Iterator[str]:
                 data.excitation,
                 estimator.provides(),
                 estimator.discrete_step(data.dt),
+                data.validated,
             )
         )
     except (ValueError, ArithmeticError) as error:

@@ -31,10 +31,9 @@ from hident.config.references import CaseLabels, EstimatorName, Metric, Template
 from hident.config.repeated import repeated
 from hident.config.spec import Component, Count, Of, Spec
 from hident.config.suggest import did_you_mean, there_is_no
-from hident.config.yaml12 import Complaint, Place, error_of
+from hident.config.yaml12 import Complaint, Location, Place, error_of
 from hident.engine.cases import (
     CHANGEABLE,
-    DATA,
     Axis,
     Cases,
     Label,
@@ -46,7 +45,7 @@ from hident.engine.cases import (
 from hident.engine.every_value import with_every_value
 from hident.engine.expansion import Expansion, Unit
 from hident.engine.run_files import misnamed
-from hident.engine.trial import Data
+from hident.engine.written import NEEDED, Written
 from hident.errors import ConfigError
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
@@ -118,7 +117,7 @@ class Published(Spec):
     """The correspondence of cells."""
 
 
-class Experiment(Data, Cases):
+class Experiment(Written, Cases):
     """One YAML file."""
 
     version: Literal[1]
@@ -175,7 +174,10 @@ class Experiment(Data, Cases):
     ) -> dict[str, Any]:
         found = super().__get_pydantic_json_schema__(schema, handler)
         # The cases may set what the file leaves out, and a single noise needs no list.
-        found["required"] = [name for name in found["required"] if name not in DATA]
+        for name in NEEDED:
+            written = found["properties"][name]
+            del written["default"]
+            written["anyOf"].remove({"type": "null"})
         noise = found["properties"]["noise"]
         noise["anyOf"] = [{"type": noise.pop("type"), "items": noise["items"]}, noise.pop("items")]
         return found
@@ -240,7 +242,10 @@ class Plan:
         timeout = self.trial_timeout if trial_timeout is None else trial_timeout
         if timeout is not None and not 0.0 < timeout < math.inf:
             raise ConfigError(f"the trial timeout must be a number of seconds above 0, not {timeout:g}")
-        return replace(self, experiment=experiment, perturbation=perturbation, trial_timeout=timeout)
+        plan = replace(self, experiment=experiment, perturbation=perturbation, trial_timeout=timeout)
+        if problems := list(_unrepeatable(plan)):
+            raise self.document.error(problems)
+        return plan
 
     @property
     def name(self) -> str:
@@ -327,7 +332,7 @@ def load(
     )
     units = expansion.units(experiment.estimators, experiment.metrics, complaints)
     plan = Plan(path, document, experiment, axes, tuple(units))
-    complaints += document.complaints_of(_missing_paper(plan))
+    complaints += document.complaints_of([*_missing_paper(plan), *_unrepeatable(plan)])
     if complaints:
         raise error_of(complaints)
     return plan
@@ -353,6 +358,18 @@ def _load_plugins(document: Document, path: Path) -> None:
             problems.append(Problem(("plugins", i), str(error)))
     if problems:
         raise document.error(problems)
+
+
+def _unrepeatable(plan: Plan) -> Iterator[Problem]:
+    """Why there cannot be as many trials as the plan wants: once, or once for each estimator."""
+    if plan.trials == 1:
+        return
+    found: dict[Location, str] = {}
+    for unit in plan.units:
+        if message := unit.data.unrepeatable(unit.estimator):
+            found.setdefault(("estimators", unit.name) if unit.data.resampled else ("trials",), message)
+    for place, message in found.items():
+        yield Problem(place, f"{plan.trials} trials are wanted, and {message}")
 
 
 def _missing_paper(plan: Plan) -> Iterator[Problem]:

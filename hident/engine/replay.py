@@ -90,8 +90,12 @@ class OneTrial:
         if record is None:
             return Realised(unit, truth, None, None, failure)
         job = Job(unit.estimator, ())
-        found, failure = self._tried(lambda: estimate(unit.data, job, record, self._plan.seed, self._trial))
-        return Realised(unit, truth, record, found, failure)
+        seed = self._plan.seed
+        own, failure = self._tried(lambda: unit.data.record_for(job, record, seed, self._trial))
+        if own is None:
+            return Realised(unit, truth, record, None, failure)
+        found, failure = self._tried(lambda: estimate(unit.data, job, own, seed, self._trial))
+        return Realised(unit, truth, own, found, failure)
 
     def _tried(self, make: Callable[[], T]) -> tuple[T | None, str]:
         """What is made, or None and why it failed."""

@@ -12,11 +12,12 @@ from functools import cache, cached_property, partial
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo
 
 from hident import stopping
 from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, Spec, canonical
+from hident.config.suggest import one_of
 from hident.engine.clock import Clock, Limit, TookTooLong
 from hident.engine.scores import Scores, gathered
 from hident.errors import EstimationError, TrialFailed
@@ -45,44 +46,94 @@ def digest(value: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
+def _listed(value: Any) -> Any:
+    if value is None:
+        raise ValueError("must be a noise or a list of them; write [] for none")
+    return [value] if isinstance(value, str | Mapping | NoiseSpec) else value
+
+
+def _start_can_be_chosen(excitation: ExcitationSpec, info: ValidationInfo) -> ExcitationSpec:
+    system = info.data.get("system")
+    if excitation.chooses_start() and system is not None and not system.follows_waveforms():
+        raise ValueError(
+            "'start' needs a wiener_hammerstein system with continuous blocks; "
+            f"this {system.kind} starts as its linear blocks say: leave it out"
+        )
+    return excitation
+
+
+Samples = Annotated[Count, Field(ge=1)]
+Step = Annotated[Real, Field(gt=0)]
+System = Annotated[SystemSpec, Of("system")]
+Excitation = Annotated[ExcitationSpec, Of("excitation"), AfterValidator(_start_can_be_chosen)]
+Noises = Annotated[tuple[Annotated[NoiseSpec, Of("noise")], ...], BeforeValidator(_listed)]
+Streams = Annotated[StreamsSpec, Of("streams")]
+
+
 class Data(Spec):
-    """The data-generating part of a case."""
+    """The data-generating part of a case: by a simulation, unless a subclass knows better."""
 
-    samples: Annotated[Count, Field(ge=1)]
+    samples: Samples
     """Length N of the record."""
-    dt: Annotated[Real, Field(gt=0)] | None = None
+    dt: Step | None = None
     """Sampling interval; leave out in discrete time, where times count samples."""
-    system: Annotated[SystemSpec, Of("system")]
+    system: System
     """The true system."""
-    excitation: Annotated[ExcitationSpec, Of("excitation")]
+    excitation: Excitation
     """The input signal."""
-    noise: tuple[Annotated[NoiseSpec, Of("noise")], ...] = ()
+    noise: Noises = ()
     """What happens to the output on its way to the record, in this order."""
-    streams: Annotated[StreamsSpec, Of("streams")] = NumpyStreams()
+    streams: Streams = NumpyStreams()
     """Where the random numbers come from."""
-
-    @field_validator("noise", mode="before")
-    @classmethod
-    def _listed(cls, value: Any) -> Any:
-        if value is None:
-            raise ValueError("must be a noise or a list of them; write [] for none")
-        return [value] if isinstance(value, str | Mapping | NoiseSpec) else value
-
-    @field_validator("excitation")
-    @classmethod
-    def _start_can_be_chosen(cls, excitation: ExcitationSpec, info: ValidationInfo) -> ExcitationSpec:
-        system = info.data.get("system")
-        if excitation.chooses_start() and system is not None and not system.follows_waveforms():
-            raise ValueError(
-                "'start' needs a wiener_hammerstein system with continuous blocks; "
-                f"this {system.kind} starts as its linear blocks say: leave it out"
-            )
-        return excitation
 
     @cached_property
     def key(self) -> int:
         """Hash of everything that the data depend on besides the seed and the trial."""
         return int(digest(canonical(self)), 16)
+
+    @property
+    def resampled(self) -> bool:
+        """Whether :meth:`record_for` gives each estimator records of its own."""
+        return False
+
+    @property
+    def validated(self) -> bool:
+        """Whether the records have a validation part."""
+        return False
+
+    def require(self) -> None:
+        """Raise ConfigError if this process cannot have the records."""
+
+    def before_noise(self, seed: int, trial: int) -> Record:
+        """The record before noise."""
+        inputs = self.streams.generator("input", seed, self.key, trial)
+        interval = _interval(self)
+        stretches = self.excitation.stretches(self.samples, interval)
+        one_grid = len(stretches) == 1 and stretches[0].dt == interval
+        if not one_grid or self.system.follows_waveforms():
+            u, y, parts = _experiments(self.system, stretches, inputs)
+        else:
+            u, y, parts = *_sampled(self.system, stretches[0], inputs), {}
+        return Record(u, y, self.dt, self.system.truth(), parts)
+
+    def record_for(self, job: Job, record: Record, seed: int, trial: int) -> Record:
+        """The record that a job has in a trial, made from what :func:`generate` gives."""
+        return record
+
+    def lacks(self, need: str) -> str:
+        """What to say of a part of the truth that something needs and that is not there."""
+        return (
+            f"needs the {need} of the system, which '{self.system.kind}' does not have "
+            f"(it has: {one_of(sorted(self.system.provides()))})"
+        )
+
+    def unrepeatable(self, estimator: EstimatorSpec) -> str:
+        """Why an estimator cannot have more trials than one; empty if it can."""
+        return ""
+
+    def says(self) -> str:
+        """What tables say of the records; empty where the configuration says it all."""
+        return ""
 
 
 @dataclass(frozen=True)
@@ -126,35 +177,29 @@ def generate(data: Data, seed: int, trial: int, perturbation: int = 0) -> Record
     values of u stay equal, so that a held input keeps its levels. The truth stays.
     """
     noise = data.streams.generator("noise", seed, data.key, trial)
-    return _measured(data, _simulated(data, seed, trial), noise, seed, trial, perturbation)
+    return _noisy(data, data.before_noise(seed, trial), noise, seed, trial, perturbation)
 
 
-def _simulated(data: Data, seed: int, trial: int) -> Record:
-    """The record before noise."""
-    inputs = data.streams.generator("input", seed, data.key, trial)
-    interval = _interval(data)
-    stretches = data.excitation.stretches(data.samples, interval)
-    one_grid = len(stretches) == 1 and stretches[0].dt == interval
-    if not one_grid or data.system.follows_waveforms():
-        u, y, parts = _experiments(data.system, stretches, inputs)
-    else:
-        u, y, parts = *_sampled(data.system, stretches[0], inputs), {}
-    return Record(u, y, data.dt, data.system.truth(), parts)
-
-
-def _measured(
-    data: Data, simulated: Record, noise: np.random.Generator, seed: int, trial: int, perturbation: int
+def _noisy(
+    data: Data, clean: Record, noise: np.random.Generator, seed: int, trial: int, perturbation: int
 ) -> Record:
+    if data.resampled and not perturbation:
+        # One record for all trials: what they are resampled from is fitted to it once.
+        return _unwritable(clean)
     # A noise that works in place has its own.
-    u, y = simulated.u, simulated.y.copy()
+    u, y = clean.u, clean.y.copy()
     for spec in data.noise:
         y = spec.measure(y, noise)
     if perturbation:
         sequence = np.random.SeedSequence([seed, data.key, perturbation], spawn_key=(_PERTURBATION, trial))
         u, y = _perturbed(u, y, np.random.default_rng(sequence))
-    # All estimators of a trial share them: one that writes crashes instead of changing the others' data.
-    u.flags.writeable = y.flags.writeable = False
-    return replace(simulated, u=u, y=y)
+    return _unwritable(replace(clean, u=u, y=y))
+
+
+def _unwritable(record: Record) -> Record:
+    # All estimators of a trial share it: one that writes crashes instead of changing the others' data.
+    record.u.flags.writeable = record.y.flags.writeable = False
+    return record
 
 
 def _perturbed(u: Array, y: Array, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -224,6 +269,7 @@ def run_trials(
     depend on which trials run together. With a limit, each record, estimate and score of a trial is ended
     that takes longer.
     """
+    data.require()
     with Clock(limit) as clock:
         trials = sorted({trial for of in wanted for trial in of})
         made = _records(data, seed, trials, perturbation, clock)
@@ -232,9 +278,26 @@ def run_trials(
         outcomes = []
         for job, of in zip(jobs, wanted, strict=True):
             there = {trial: records[trial] for trial in of if trial in records}
-            found = {**failed, **_estimates(data, job, there, seed, clock)}
-            outcomes.append(_outcome(job, {trial: found[trial] for trial in of}, records, clock))
+            own, lost = _own(data, job, there, seed, clock)
+            found = {**failed, **lost, **_estimates(data, job, own, seed, clock)}
+            outcomes.append(_outcome(job, {trial: found[trial] for trial in of}, own, clock))
     return outcomes
+
+
+def _own(
+    data: Data, job: Job, records: dict[int, Record], seed: int, clock: Clock
+) -> tuple[dict[int, Record], dict[int, BaseException]]:
+    """The records that the job has in the trials, and what was raised in place of others."""
+    if not data.resampled:
+        return records, {}
+    made = {
+        trial: _attempt(partial(data.record_for, job, record, seed, trial), clock)
+        for trial, record in records.items()
+    }
+    return (
+        {trial: one for trial, one in made.items() if isinstance(one, Record)},
+        {trial: one for trial, one in made.items() if isinstance(one, BaseException)},
+    )
 
 
 def _outcome(
@@ -272,17 +335,17 @@ def _records(
     data: Data, seed: int, trials: Sequence[int], perturbation: int, clock: Clock
 ) -> dict[int, Record | BaseException]:
     """The records of the trials, or what was raised; where the input is fixed, they are simulated once."""
-    once = cache(lambda: _simulated(data, seed, 0)) if data.streams.is_fixed("input") else None
+    once = cache(lambda: data.before_noise(seed, 0)) if data.streams.is_fixed("input") else None
     noises = _attempt(lambda: data.streams.generators("noise", seed, data.key, trials), clock)
 
     def record(place: int, trial: int) -> Record:
-        simulated = once() if once else _simulated(data, seed, trial)
+        clean = once() if once else data.before_noise(seed, trial)
         # Where one of the streams cannot be had, the others can.
         if isinstance(noises, BaseException):
             noise = data.streams.generator("noise", seed, data.key, trial)
         else:
             noise = noises[place]
-        return _measured(data, simulated, noise, seed, trial, perturbation)
+        return _noisy(data, clean, noise, seed, trial, perturbation)
 
     return {trial: _attempt(partial(record, place, trial), clock) for place, trial in enumerate(trials)}
 

@@ -133,6 +133,8 @@ def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str,
     """The text of table.md."""
     experiment = results.plan.experiment
     parts = [f"# {experiment.title}", f"{results.plan.trials} trials, seed {results.plan.seed}."]
+    if records := _records(results.plan):
+        parts.append(" ".join(records))
     if said := list(scoring(results.plan)):
         parts.append(" ".join(said))
     parts += [table.markdown() for table in tables.values()]
@@ -144,6 +146,11 @@ def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str,
         parts.append(f"Printed numbers: {len(words)}, of which {counts}.")
         parts += _differences(verdicts)
     return "\n\n".join(parts) + "\n"
+
+
+def _records(plan: Plan) -> list[str]:
+    """What is said of the measured records, each once."""
+    return [*filter(None, dict.fromkeys(unit.data.says() for unit in plan.units))]
 
 
 def _plain_table(results: Results) -> Table:
@@ -218,12 +225,13 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
 
 def _described(plan: Plan) -> dict[str, Any]:
     """The experiment in run.json."""
-    resolved = canonical(plan.experiment)
+    resolved, records = canonical(plan.experiment), _records(plan)
     return {
         "config": plan.name,
         "hash": digest(resolved),
         "seed": plan.seed,
         "trials": plan.trials,
+        **({"records": records} if records else {}),
         "resolved": resolved,
     }
 

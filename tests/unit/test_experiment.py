@@ -134,6 +134,7 @@ class TestExpansion:
             0.2,
             9.0,
         )
+        assert plan.experiment.excitation is not None
         assert plan.experiment.excitation.kind == "iid"
 
     def test_a_label_may_leave_the_file_as_it_is(self, write):
@@ -288,7 +289,7 @@ class TestOptions:
         assert [setting(unit.data.noise[0], "nsr") for unit in plan.units[::2]] == [0.1, 0.2]
 
 
-CHANGEABLE = "it can: samples, dt, system, excitation, noise, streams, estimators, metrics"
+CHANGEABLE = "it can: samples, dt, system, excitation, noise, streams, record, estimators, metrics"
 LABELLED = "as 'label: {key.path: value}'"
 
 
@@ -497,8 +498,8 @@ figures:
                 ("samples: 50", "samples: 50\nestimators2: 3"),
                 [
                     "11: estimators2: unknown key; did you mean 'estimators'? (allowed: cases, skip, "
-                    "samples, dt, system, excitation, noise, streams, version, title, plugins, paper, seed, "
-                    "trials, estimators, metrics, tables, figures, published)"
+                    "samples, dt, system, excitation, noise, streams, record, version, title, plugins, "
+                    "paper, seed, trials, estimators, metrics, tables, figures, published)"
                 ],
             ),
             (

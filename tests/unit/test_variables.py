@@ -158,7 +158,7 @@ class TestAxes:
                     "7: noise.a[0]: there is no axis 'pol'; did you mean 'pole'? (there are: pole, "
                     "sigma, smoothing, kernel, h0); for the text '$pol' write '$$pol'",
                     "9: cases.pole: a case cannot change 'pole' (it can: samples, dt, system, excitation, "
-                    "noise, streams, estimators, metrics), and nothing uses '$pole'",
+                    "noise, streams, record, estimators, metrics), and nothing uses '$pole'",
                 ],
             ),
             (
