@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 import time
@@ -130,19 +131,8 @@ def _rows(found: Identification, record: Record, most: int | None) -> list[tuple
     spread = float(np.std(found.parts.output)) or 1.0
     unit = record.units.get("output", "")
     rmse = f"RMSE {unit}".strip()
-    rows = [
-        (
-            "structure",
-            "blocks",
-            "numbers",
-            f"fitted {rmse}",
-            f"kept apart {rmse}",
-            "fit %",
-            "BIC",
-            "starts",
-            "",
-        )
-    ]
+    head = ("structure", "blocks", "numbers", f"fitted {rmse}", f"kept apart {rmse}")
+    rows: list[tuple[str, ...]] = [(*head, "fit %", "BIC", "agreeing", "")]
     done = [(i, one) for i, one in enumerate(found.trials) if one.fit is not None]
     order = sorted(done, key=lambda pair: pair[1].rms)
     seen: dict[str, int] = {}
@@ -212,7 +202,7 @@ def _write(
     write_model(model, folder / "model.json")
     rows = _rows(found, record, None)
     with replacing(folder / "table.md") as new:
-        head = [f"# What was tried on {one_of(spec.file)}", ""]
+        head = [f"# What was tried on {one_of(Path(file).name for file in spec.file)}", ""]
         table = ["| " + " | ".join(row) + " |" for row in rows]
         table.insert(1, "| " + " | ".join("---" for _ in rows[0]) + " |")
         new.write_text("\n".join([*head, *table, *lines, ""]), encoding="utf-8")
@@ -223,14 +213,14 @@ def _write(
     units = record.units
     labels = [
         name + (f" ({units[side]})" if units.get(side) else "")
-        for name, side in ((one_of(spec.input), "input"), (one_of(spec.output), "output"))
+        for name, side in ((one_of(map(str, spec.input)), "input"), (one_of(map(str, spec.output)), "output"))
     ]
     assert found.chosen.fit is not None
     made = found.parts.simulated(found.chosen.fit.point.parameters.chain)
     step, label = (record.dt or 1.0), "sample"
     if record.dt is not None and len(kept) == 1:
         label = f"time ({units['time']})" if units.get("time") else "time"
-    instants = np.arange(len(made)) * (step if label != "sample" else 1.0)
+    instants = np.asarray(np.arange(len(made)) * (step if label != "sample" else 1.0))
     save_figure(
         folder / "kept_apart.png",
         lambda: comparison(
@@ -249,7 +239,7 @@ def _experiment(found: Identification, spec: MeasuredRecord, folder: Path) -> st
     on = "validation" if spec.validation else "estimation"
     written = {
         "version": 1,
-        "title": f"The model that was chosen for {one_of(spec.file)}",
+        "title": f"The model that was chosen for {one_of(Path(file).name for file in spec.file)}",
         "record": record,
         "trials": 1,
         "estimators": {"chosen": chosen},
@@ -259,9 +249,8 @@ def _experiment(found: Identification, spec: MeasuredRecord, folder: Path) -> st
 
 
 def _from(folder: Path, file: Path) -> str:
+    """How a file is named from a folder; from its root where no way leads there, as between drives."""
     try:
-        import os
-
         return Path(os.path.relpath(file, folder.resolve())).as_posix()
     except ValueError:
         return file.as_posix()
