@@ -46,6 +46,7 @@ from hident.estimators.prediction_error.prediction_error import PredictionError 
 from hident.estimators.voros.voros_hammerstein import VorosHammerstein as VorosHammerstein
 from hident.estimators.voros.voros_wiener import VorosWiener as VorosWiener
 from hident.fitted_model import FittedModel as FittedModel
+from hident.identification.identify import Identification as Identification, identify as identify
 from hident.linear_blocks import ContinuousTransferFunction as ContinuousTransferFunction
 from hident.linear_blocks import TransferFunction as TransferFunction
 from hident.measurements.first_look import first_look as first_look

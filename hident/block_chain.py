@@ -110,11 +110,11 @@ def settled_state(b: Array, denominator: Array) -> Array:
     ValueError
         If the block has a pole at z = 1, and settles nowhere.
     """
-    length = max(len(b), len(denominator))
-    top, bottom = (np.pad(c, (0, length - len(c))) for c in (b, denominator))
-    total = float(np.sum(bottom))
-    if abs(total) <= 1e-12 * float(np.sum(np.abs(bottom))):
+    total = float(denominator.sum())
+    if abs(total) <= 1e-12 * float(np.abs(denominator).sum()):
         raise ValueError("a block with a pole at z = 1 settles nowhere: start it from rest")
-    gain = float(np.sum(top)) / total
     # z_i = sum_{j > i} (b_j - a_j y) with the constant output y.
-    return np.cumsum((top - bottom * gain)[:0:-1])[::-1]
+    terms = np.zeros(max(len(b), len(denominator)))
+    terms[: len(b)] = b
+    terms[: len(denominator)] -= denominator * (float(b.sum()) / total)
+    return np.asarray(terms[:0:-1].cumsum()[::-1])

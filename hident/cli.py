@@ -439,8 +439,52 @@ def export(
     print(export(plan, store, file))
 
 
-@app.command("identify")
-def identify_command(
+@app.command()
+def show(
+    files: Samples,
+    input_: InputColumn = None,
+    output: OutputColumn = None,
+    dt: Dt = None,
+    time: Time = None,
+    estimate: Estimate = None,
+    validate: Validate = None,
+    detrend: Detrend = None,
+    resample: Resample = None,
+    decimate: Decimate = None,
+    gaps: Gaps = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write the figures to.")] = None,
+) -> None:
+    """Show what is in a file: a measured record, or a fitted model.
+
+    Of a record: signals, delay, which nonlinearities the input can excite, and what is wrong with it. Of a
+    model (.json): its blocks as formulas. Figures with --out.
+    """
+    if len(files) == 1 and files[0].suffix.lower() == ".json":
+        from hident.commands.models import print_model
+
+        print_model(files[0], out)
+        return
+    from hident.commands.looking import show
+
+    code = show(
+        files,
+        out,
+        input=input_,
+        output=output,
+        dt=dt,
+        time=time,
+        estimation=estimate,
+        validation=validate,
+        detrend=detrend,
+        resample=resample,
+        decimate=decimate,
+        gaps=gaps,
+    )
+    raise typer.Exit(code)
+
+
+@app.command()
+def identify(
     files: Samples,
     input_: InputColumn = None,
     output: OutputColumn = None,
@@ -536,50 +580,6 @@ def simulate(
         out=out,
         plot=plot,
     )
-
-
-@app.command()
-def show(
-    files: Samples,
-    input_: InputColumn = None,
-    output: OutputColumn = None,
-    dt: Dt = None,
-    time: Time = None,
-    estimate: Estimate = None,
-    validate: Validate = None,
-    detrend: Detrend = None,
-    resample: Resample = None,
-    decimate: Decimate = None,
-    gaps: Gaps = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to write the figures to.")] = None,
-) -> None:
-    """Show what is in a file: a measured record, or a fitted model.
-
-    Of a record: signals, delay, which nonlinearities the input can excite, and what is wrong with it. Of a
-    model (.json): its blocks as formulas. Figures with --out.
-    """
-    if len(files) == 1 and files[0].suffix.lower() == ".json":
-        from hident.commands.models import print_model
-
-        print_model(files[0], out)
-        return
-    from hident.commands.looking import show
-
-    code = show(
-        files,
-        out,
-        input=input_,
-        output=output,
-        dt=dt,
-        time=time,
-        estimation=estimate,
-        validation=validate,
-        detrend=detrend,
-        resample=resample,
-        decimate=decimate,
-        gaps=gaps,
-    )
-    raise typer.Exit(code)
 
 
 @app.command()

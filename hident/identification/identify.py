@@ -11,6 +11,7 @@ import numpy as np
 from hident.arrays import Array
 from hident.block_chain import BlockChain
 from hident.errors import EstimationError
+from hident.estimators.base import require_finite, require_varying
 from hident.estimators.prediction_error.block_specs import LinearBlock
 from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain
 from hident.estimators.prediction_error.criterion import Data, simulated
@@ -29,7 +30,7 @@ _LINEAR_STARTS, _HIGHEST = 2, 10
 _KEPT_APART = 0.2
 # First samples that are not fitted: at most this many, and this share of an experiment.
 _MOST_INITIAL, _INITIAL_SHARE = 50, 20
-_BATCHES = 20
+_BATCHES, _FEWEST = 20, 20
 _MOST_LINEAR, _MORE_LINEAR, _MANY = 4, 8, 5000
 
 
@@ -129,7 +130,7 @@ def split(record: Record, n_init: int | None) -> Split:
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """All that was tried, and what was chosen.
+    """All that was tried, and what was chosen, see :func:`identify`.
 
     ``chosen`` is the trial with the fewest numbers among those whose mean squared error on the samples kept
     apart is within one standard error of the least (of the difference, in batches; ``within`` counts the
@@ -183,9 +184,27 @@ def identify(
     Raises
     ------
     EstimationError
-        If nothing could be fitted.
+        If the record is constant or too short, or nothing could be fitted.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> valve = hi.DeadZone(low=-1, high=1)
+    >>> system = hi.Hammerstein(nonlinearity=valve, linear=hi.Arma(a=[0.7], b=[0, 0.3]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-3, high=3), 300)
+    >>> found = identify(record, ["hammerstein"])
+    >>> found.chosen.structure, round(found.estimate(record).linear.a[0], 2)
+    ('hammerstein', 0.7)
     """
+    require_finite(record.y)
+    require_varying(record.u, "input")
+    require_varying(record.y, "output")
     parts = split(record, n_init)
+    if parts.estimation.count < _FEWEST or len(parts.output) < _FEWEST:
+        raise EstimationError(
+            f"{parts.estimation.count} samples to fit and {len(parts.output)} to choose by are too few: at "
+            f"least {_FEWEST} of each, beside the first {parts.everything.n_init} samples"
+        )
     initial = parts.everything.n_init
     short = parts.estimation.busiest(_COMPARED)
     trials: list[Trial] = []

@@ -40,8 +40,9 @@ _VERBS = (
     "verify",
     "schema",
     "export",
-    "simulate",
     "show",
+    "identify",
+    "simulate",
     "convert",
     "doctor",
 )

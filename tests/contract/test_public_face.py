@@ -47,8 +47,9 @@ COUNTERPARTS = {
     "verify": "verify",
     "schema": "schema",
     "export": "Results.trials_frame",
-    "simulate": "FittedModel.simulate",
     "show": "first_look",
+    "identify": "identify",
+    "simulate": "FittedModel.simulate",
     "convert": "convert",
     "doctor": "examine",
 }

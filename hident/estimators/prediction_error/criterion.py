@@ -21,7 +21,7 @@ import numpy as np
 
 from hident.arrays import Array
 from hident.block_chain import Block, BlockChain, Start, settled_state
-from hident.estimators.prediction_error.parameters import LinearStructure, Parameters
+from hident.estimators.prediction_error.parameters import LinearStructure, Parameters, is_stable
 from hident.fitted_model import NoiseModel
 from hident.linear_blocks import TransferFunction
 from hident.numerics.parts import Parts
@@ -299,7 +299,7 @@ def point_at(data: Data, parameters: Parameters, noise: NoiseModel = NoiseModel(
 def _is_invertible(noise: NoiseModel) -> bool:
     # 1/D must be stable for the noise to have a variance, 1/C for its innovations.
     return all(
-        np.all(np.abs(np.roots(np.r_[1.0, polynomial])) < 1.0)
+        is_stable(np.r_[1.0, polynomial])
         for polynomial in (-np.asarray(noise.ar), np.asarray(noise.ma))
         if len(polynomial)
     )

@@ -1,0 +1,212 @@
+"""From a record to a model: what is tried, and how the choice is made."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+import hident as hi
+from hident.errors import EstimationError
+from hident.estimators.prediction_error.criterion import Data
+from hident.identification.candidates import STRUCTURES, Orders, chain, orders_of
+from hident.identification.delay import delay
+from hident.identification.identify import Trial, _near_the_best, _simplest, identify, split
+from hident.linear_blocks import TransferFunction
+from hident.records import Held, Part, Record
+from tests.forked import run_forked
+
+SPEC = chain("linear", orders_of("linear", 1, 0), {})
+
+
+def tank(samples, seed=0, noise=0.01):
+    """A valve that saturates before a slow tank, with its input."""
+    draws = np.random.default_rng(seed)
+    u = np.repeat(draws.uniform(-2.0, 2.0, samples // 4 + 1), 4)[:samples]
+    x = np.clip(u, -1.0, 1.2)
+    y = TransferFunction((0.0, 0.0, 0.4), (0.6,)).filter(x)
+    return u, y + noise * draws.standard_normal(samples)
+
+
+def record_of(u, y, experiments=(), validation=None):
+    parts = {
+        f"run {i}": Part(start, stop, 1.0, Held(np.zeros(1), np.zeros(1)))
+        for i, (start, stop) in enumerate(experiments)
+    }
+    return Record(u, y, 1.0, parts=parts, validation=validation)
+
+
+@pytest.fixture(scope="module")
+def found():
+    u, y = tank(300)
+    record = record_of(u, y)
+    return identify(record, ["hammerstein"]), record
+
+
+def test_the_structure_of_the_system_is_chosen(found):
+    found, record = found
+    assert found.chosen.structure == "hammerstein"
+    assert found.chosen.rms < 0.02
+    estimate = found.estimate(record)
+    exact = TransferFunction((0.0, 0.0, 0.4), (0.6,)).impulse_response(20)
+    np.testing.assert_allclose(estimate.linear.impulse_response(20), exact, atol=0.02)
+    levels = estimate.nonlinearity(np.array([-2.0, 0.0, 2.0]))
+    np.testing.assert_allclose(levels, [-1.0, 0.0, 1.2], atol=0.1)
+
+
+def test_the_delay_is_in_the_blocks(found):
+    assert {block.nk for block in found[0].chosen.spec.blocks if isinstance(block, hi.LinearBlock)} == {2}
+
+
+def test_the_model_is_fitted_to_all_and_chosen_by_a_part(found):
+    found, record = found
+    assert found.parts.said == "the last fifth, 60 samples"
+    assert len(found.parts.estimation.u) == 240
+    assert found.model_fit.point.data.count == len(record) - found.parts.everything.n_init
+    assert found.chosen.fit.point.data.count < found.model_fit.point.data.count
+
+
+def test_what_is_kept_apart_is_simulated_from_the_beginning_of_the_record():
+    u, y = tank(200, noise=0.0)
+    parts = split(record_of(u, y), 0)
+    valve = hi.Saturation(low=-1.0, high=1.2)
+    model = TransferFunction((0.0, 0.0, 0.4), (0.6,))
+    assert valve is not None
+    from hident.block_chain import BlockChain
+    from hident.static_functions import Saturation, StaticFunction
+
+    exact = BlockChain((StaticFunction(Saturation(-1.0, 1.2), (0.0, 1.0)), model))
+    tail = parts.output - parts.simulated(exact)
+    assert len(tail) == 40
+    # The system began at rest and the model settled: nothing is left of that after 160 samples.
+    np.testing.assert_allclose(tail, 0.0, atol=1e-12)
+
+
+def test_the_last_fifth_of_each_experiment_is_kept_apart():
+    u, y = tank(300)
+    parts = split(record_of(u, y, [(0, 100), (100, 300)]), 0)
+    assert parts.said == "the last fifth of each experiment, 60 samples"
+    np.testing.assert_array_equal(parts.output, np.r_[y[80:100], y[260:300]])
+    np.testing.assert_array_equal(parts.estimation.y, np.r_[y[:80], y[100:260]])
+    assert parts.estimation.experiments == (slice(0, 80), slice(80, 240))
+
+
+def test_a_record_for_validation_leaves_all_of_the_record_to_be_fitted():
+    u, y = tank(200)
+    other = record_of(*tank(120, seed=1))
+    parts = split(record_of(u, y, validation=other), 10)
+    assert parts.estimation is parts.everything
+    np.testing.assert_array_equal(parts.output, other.y[10:])
+
+
+@pytest.mark.parametrize("lags", [0, 1, 3, 7])
+def test_the_delay_is_the_first_lag_that_acts(lags):
+    draws = np.random.default_rng(lags)
+    u = draws.standard_normal(1000)
+    y = TransferFunction((*(0.0,) * lags, 1.0, 0.5), (0.7,)).filter(u) + 0.1 * draws.standard_normal(1000)
+    assert delay(Data(u, y, (slice(0, 1000),))) == lags
+
+
+def test_no_delay_is_found_where_the_input_does_not_act():
+    u, y = np.random.default_rng(3).standard_normal((2, 1000))
+    assert delay(Data(u, y, (slice(0, 1000),))) == 0
+
+
+def _trial(count, squared):
+    # Whether it was fitted is all that matters of the fit.
+    return Trial("linear", SPEC, count, fit=object(), validation=np.asarray(squared, dtype=float))  # type: ignore[arg-type]
+
+
+def test_the_simplest_of_those_that_cannot_be_told_apart_is_chosen():
+    draws = np.random.default_rng(0)
+    common = draws.chisquare(1, 1000)
+    best = _trial(20, common)
+    near = _trial(5, common + 1e-4 * draws.standard_normal(1000) + 1e-6)
+    worse = _trial(2, common * 1.5)
+    assert {id(one) for one in _near_the_best([worse, near, best])} >= {id(near), id(best)}
+    assert worse not in _near_the_best([worse, near, best])
+    assert _simplest([worse, near, best]) is near
+
+
+def test_a_chain_that_is_clearly_worse_is_not_chosen_for_being_simple():
+    draws = np.random.default_rng(0)
+    common = draws.chisquare(1, 1000)
+    best, worse = _trial(20, common), _trial(2, common + 0.05)
+    assert _simplest([worse, best]) is best
+
+
+def test_two_linear_blocks_share_the_order_and_the_last_has_the_delay():
+    assert orders_of("wiener", 3, 2) == [Orders(3, 3, 2)]
+    assert orders_of("wiener_hammerstein", 4, 1) == [Orders(4, 3, 0), Orders(3, 3, 1)]
+
+
+@pytest.mark.parametrize("structure", STRUCTURES)
+def test_each_structure_is_an_estimator(structure):
+    spec = chain(structure, orders_of(structure, 2, 1), {"kind": "polynomial", "degree": 3}, n_init=5)
+    kinds = "-".join("L" if isinstance(block, hi.LinearBlock) else "N" for block in spec.blocks)
+    # A linear model has a constant beside it, which is a static block.
+    assert kinds == {"linear": "L-N"}.get(structure, STRUCTURES[structure])
+
+
+@pytest.mark.parametrize(
+    ("u", "y", "said"),
+    [
+        (np.ones(200), np.arange(200.0), "the input is 1 throughout"),
+        (np.arange(200.0), np.ones(200), "the output is 1 throughout"),
+        (np.arange(30.0), np.arange(30.0), "23 samples to fit and 6 to choose by are too few"),
+        (np.arange(200.0), np.full(200, np.nan), "the output has 200 of 200 samples that are not finite"),
+    ],
+)
+def test_a_record_that_says_nothing_is_refused_with_the_reason(u, y, said):
+    with pytest.raises(EstimationError, match=said):
+        identify(record_of(u, y))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("identify")
+    u, y = tank(300)
+    lines = ["valve,level", *(f"{a:.6g},{b:.6g}" for a, b in zip(u, y, strict=True))]
+    (folder / "tank.csv").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def test_the_command_writes_a_model_a_table_and_a_configuration(folder):
+    arguments = ["identify", "tank.csv", "--input", "valve", "--output", "level", "--dt", "4"]
+    done = run_forked([*arguments, "--structure", "linear"], folder)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "chosen" in done.stdout
+    written = folder / "out/identify_tank"
+    model = hi.load_model(written / "model.json")
+    assert (model.chain.structure, model.chain.dt) == ("L-N", 4.0)
+    assert model.about["input"] == "valve"
+    assert len(model.ranges) == 2
+    document = json.loads((written / "model.json").read_text())
+    assert list(document["about"]["data"]) == ["tank.csv"]
+    assert (written / "table.md").read_text().startswith("# What was tried on tank.csv\n")
+    assert yaml.safe_load((written / "experiment.yaml").read_text())["record"]["file"] == ["../../tank.csv"]
+    again = run_forked(["run", "out/identify_tank/experiment.yaml", "--jobs", "1"], folder)
+    assert again.returncode == 0
+    compared = run_forked(
+        ["simulate", "out/identify_tank/model.json", "tank.csv", "--compare", "level"], folder
+    )
+    assert "against 'level' (simulation): RMSE" in compared.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (
+            ["--structure", "hamerstein"],
+            "error: --structure: unknown structure 'hamerstein'; did you mean 'hammerstein'? (allowed: "
+            "linear, hammerstein, wiener, wiener_hammerstein, hammerstein_wiener)\n",
+        ),
+        (["--n-init", "300"], "error: tank.csv: 0 samples to fit and 60 to choose by are too few: "),
+    ],
+)
+def test_what_cannot_be_done_is_said(folder, arguments, said):
+    done = run_forked(["identify", "tank.csv", "--input", "valve", "--output", "level", *arguments], folder)
+    assert done.returncode == 2
+    assert done.stderr.startswith(said)
