@@ -20,6 +20,8 @@ STRUCTURES: Mapping[str, str] = {
 
 _AFFINE = {"kind": "polynomial", "degree": 1}
 STATIC: Sequence[Mapping[str, Any]] = (
+    {"kind": "saturation"},
+    {"kind": "dead_zone"},
     {"kind": "polynomial", "degree": 2},
     {"kind": "polynomial", "degree": 3},
     {"kind": "polynomial", "degree": 5},

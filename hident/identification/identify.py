@@ -10,6 +10,7 @@ import numpy as np
 
 from hident.arrays import Array
 from hident.block_chain import BlockChain
+from hident.config.spec import canonical
 from hident.errors import EstimationError
 from hident.estimators.base import require_finite, require_varying
 from hident.estimators.prediction_error.block_specs import LinearBlock
@@ -130,7 +131,7 @@ def split(record: Record, n_init: int | None) -> Split:
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """All that was tried, and what was chosen, see :func:`identify`.
+    """All that was tried, and what was chosen, see :func:`identify` (which has an example).
 
     ``chosen`` is the trial with the fewest numbers among those whose mean squared error on the samples kept
     apart is within one standard error of the least (of the difference, in batches; ``within`` counts the
@@ -231,6 +232,13 @@ def identify(
         reasons = "; ".join(dict.fromkeys(one.reason for one in trials if one.reason))
         raise EstimationError(f"nothing could be fitted: {reasons}")
     chosen = _simplest(wanted)
+    # The orders were compared with another function: with the chosen one, lower ones may do.
+    while len(short.u) == len(parts.estimation.u) and (spec := _smaller(chosen.spec)) is not None:
+        smaller = tried(_fitted(chosen.structure, spec, short, parts))
+        if smaller.fit is None or _simplest([*wanted, smaller]) is not smaller:
+            break
+        wanted.append(smaller)
+        chosen = smaller
     assert chosen.fit is not None
     if len(short.u) < len(parts.estimation.u):
         fit = continued(chosen.spec.structure(), chosen.fit.point.parameters.chain, parts.estimation)
@@ -274,7 +282,7 @@ def _grow(
     found = [one for one in first if one.fit is not None]
     for static in STATIC:
         if found:
-            best = min(found, key=lambda one: one.rms)
+            best = _simplest(found)
             assert best.fit is not None
             spec = chain(structure, list(_orders(best.spec)), static, n_init=initial)
             tried(_gone_on(structure, spec, best.fit, short, parts))
@@ -286,6 +294,19 @@ def _grow(
 
 def _orders(spec: PredictionError) -> Iterator[Orders]:
     return (Orders(b.nb, b.nf, b.nk) for b in spec.blocks if isinstance(b, LinearBlock))
+
+
+def _smaller(spec: PredictionError) -> PredictionError | None:
+    """The chain with one pole and one coefficient less in each linear block; None if there is none."""
+    blocks = []
+    for block in spec.blocks:
+        written = canonical(block)
+        if isinstance(block, LinearBlock):
+            if block.nf < 2 or block.nb < 2:
+                return None
+            written |= {"nb": block.nb - 1, "nf": block.nf - 1}
+        blocks.append(written)
+    return PredictionError(blocks=blocks, n_init=spec.n_init)  # type: ignore[arg-type]
 
 
 def _fitted(structure: str, spec: PredictionError, data: Data, parts: Split, most_starts: int = 8) -> Trial:
