@@ -31,10 +31,11 @@ STATIC: Sequence[Mapping[str, Any]] = (
     {"kind": "piecewise_linear", "knots": 10},
     {"kind": "cubic_spline", "knots": 4},
     {"kind": "cubic_spline", "knots": 8},
-    {"kind": "cubic_spline", "knots": 18},
+    {"kind": "cubic_spline", "knots": 16},
+    {"kind": "cubic_spline", "knots": 24},
 )
 """The static functions that are tried once the orders are known."""
-FIRST_STATIC: Mapping[str, Any] = {"kind": "cubic_spline", "knots": 6}
+FIRST_STATIC: Mapping[str, Any] = {"kind": "cubic_spline", "knots": 8}
 """The static function with which orders are compared."""
 
 
@@ -69,8 +70,9 @@ def chain(
 def orders_of(structure: str, n: int, nk: int) -> list[Orders]:
     """The orders of the linear blocks for a linear approximation of order n with delay nk.
 
-    A sampled block of n poles has n coefficients behind its delay, and one more where it acts at once. Two
-    blocks share the poles, with one more each: complex ones come in pairs. The last holds the delay.
+    A sampled block of n poles has n coefficients behind a delay of one sample; one more where it acts at once
+    or later, as the delay is not known so well. Two blocks share the poles, with one more each: complex ones
+    come in pairs. The last holds the delay.
     """
     if STRUCTURES[structure].count("L") == 1:
         return [_sampled(n, nk)]
@@ -79,4 +81,4 @@ def orders_of(structure: str, n: int, nk: int) -> list[Orders]:
 
 
 def _sampled(n: int, nk: int) -> Orders:
-    return Orders(n + (nk == 0), n, nk)
+    return Orders(n + (nk != 1), n, nk)

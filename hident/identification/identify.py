@@ -19,19 +19,21 @@ from hident.estimators.prediction_error.criterion import Data, simulated
 from hident.estimators.prediction_error.prediction_error import PredictionError
 from hident.identification.candidates import FIRST_STATIC, STATIC, STRUCTURES, Orders, chain, orders_of
 from hident.identification.continuation import continued
-from hident.identification.delay import delay
+from hident.measurements.delay import correlation, delay
 from hident.numerics.judgement import Residuals, judgement
 from hident.numerics.parts import Parts, following, joined
 from hident.records import Estimate, Record
 
-# Orders and functions are compared by fits to so many samples, those of linear models to fewer.
-_COMPARED, _LINEAR = 12000, 4000
+# Orders are compared by short fits to so many samples, static functions by whole fits to more.
+_COMPARED, _ORDERS, _ORDER_ITERATIONS, _FUNCTION_ITERATIONS = 12000, 4000, 25, 50
 _LINEAR_STARTS, _HIGHEST = 2, 10
 # The share of each experiment that is kept apart where nothing else is.
 _KEPT_APART = 0.2
 # First samples that are not fitted: at most this many, and this share of an experiment.
-_MOST_INITIAL, _INITIAL_SHARE = 50, 20
+_MOST_INITIAL, _INITIAL_SHARE = 250, 20
 _BATCHES, _FEWEST = 20, 20
+# Short fits of higher orders that gain less than this have gained nothing.
+_CLOSE = 1.1
 _MOST_LINEAR, _MORE_LINEAR, _MANY = 4, 8, 5000
 
 
@@ -178,7 +180,7 @@ def identify(
     structures : sequence of str
         Names among :data:`hident.identification.candidates.STRUCTURES`.
     n_init : int, optional
-        First samples of each experiment that are not fitted; by default 50, or a twentieth of the shortest.
+        First samples of each experiment that are not fitted; by default 250, or a twentieth of the shortest.
     tell : callable
         Is given each trial when it is done.
 
@@ -215,9 +217,9 @@ def identify(
         tell(trial)
         return trial
 
-    nk = delay(parts.estimation)
+    nk = first_lag(parts.estimation)
     highest = _MORE_LINEAR if len(short.u) >= _MANY else _MOST_LINEAR
-    few = short.busiest(_LINEAR)
+    few = short.busiest(_ORDERS)
     linear = [
         tried(_fitted("linear", spec, few, parts, _LINEAR_STARTS))
         for n in range(1, highest + 1)
@@ -254,6 +256,16 @@ def identify(
     return Identification(tuple(trials), within, chosen, model_fit, parts)
 
 
+def first_lag(data: Data) -> int:
+    """The lag of the first numerator coefficient: what the correlation of output and input surely shows.
+
+    Where the output answers after two samples or more, one less: the first answer may be too small to show.
+    """
+    found = correlation(data.u, data.y, data.experiments)
+    shown = None if found is None else delay(found)
+    return 0 if shown is None else shown.low - (shown.low > 1)
+
+
 def _grow(
     structure: str,
     n: int,
@@ -275,14 +287,15 @@ def _grow(
             continue
         seen.add(tuple(orders))
         spec = chain(structure, orders, FIRST_STATIC, n_init=initial)
-        first.append(tried(_fitted(structure, spec, short, parts)))
+        first.append(tried(_fitted(structure, spec, short.busiest(_ORDERS), parts)))
         # While the highest orders are the best, there may be better ones.
         if not waiting and first[-1].rms <= min(one.rms for one in first) < np.inf and m + step <= _HIGHEST:
             waiting.append(m + step)
     found = [one for one in first if one.fit is not None]
+    least = min((one.rms for one in found), default=np.inf)
     for static in STATIC:
         if found:
-            best = _simplest(found)
+            best = min((one for one in found if one.rms <= _CLOSE * least), key=lambda one: one.count)
             assert best.fit is not None
             spec = chain(structure, list(_orders(best.spec)), static, n_init=initial)
             tried(_gone_on(structure, spec, best.fit, short, parts))
@@ -311,7 +324,7 @@ def _smaller(spec: PredictionError) -> PredictionError | None:
 
 def _fitted(structure: str, spec: PredictionError, data: Data, parts: Split, most_starts: int = 8) -> Trial:
     try:
-        fit = fit_chain(spec.structure(), data, most_starts=most_starts)
+        fit = fit_chain(spec.structure(), data, most_starts=most_starts, max_iterations=_ORDER_ITERATIONS)
         return _judged(structure, spec, fit, parts)
     except (EstimationError, np.linalg.LinAlgError) as error:
         return Trial(structure, spec, reason=str(error))
@@ -319,7 +332,7 @@ def _fitted(structure: str, spec: PredictionError, data: Data, parts: Split, mos
 
 def _gone_on(structure: str, spec: PredictionError, fit: ChainFit, data: Data, parts: Split) -> Trial:
     try:
-        found = continued(spec.structure(), fit.point.parameters.chain, data)
+        found = continued(spec.structure(), fit.point.parameters.chain, data, _FUNCTION_ITERATIONS)
         return _judged(structure, spec, _counted_as(found, fit), parts)
     except (EstimationError, np.linalg.LinAlgError) as error:
         return Trial(structure, spec, reason=str(error))

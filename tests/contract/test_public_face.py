@@ -33,8 +33,8 @@ WITH_EXAMPLES = [
     for path in sorted(PACKAGE.rglob("*.py"))
     if ">>>" in path.read_text(encoding="utf-8")
 ]
-# These are about a whole run and its files: the examples of identify and run show the first three, docs/python.md the verbs,
-# and configs/ has every table and figure. Exceptions are raised by hident alone.
+# These are about a whole run and its files: the examples of identify and run show the first three,
+# docs/python.md the verbs, and configs/ has every table and figure. Exceptions are raised by hident alone.
 NO_EXAMPLE = {"Experiment", "Identification", "Results", "compare", "examine", "status", "verify", "write"}
 # What does from Python what a verb does; results/ is changed from the command line alone.
 COUNTERPARTS = {
