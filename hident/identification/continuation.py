@@ -18,7 +18,7 @@ def continued(
     """The fit of a chain whose search starts from another chain with the same linear blocks."""
     linear = {i: one for i, one in enumerate(chain.blocks) if isinstance(one, TransferFunction)}
     functions = {i: one for i, one in enumerate(chain.blocks) if isinstance(one, StaticFunction)}
-    begun = point_at(data, structure.made(data, linear, functions, scaled=False))
+    begun = point_at(data, structure.made(data, linear, functions))
     if begun is None:
         raise EstimationError("the output of the chain it starts from is not finite on this record")
     found = descend(begun, max_iterations)

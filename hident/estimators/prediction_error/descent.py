@@ -21,7 +21,6 @@ Status = Literal["converged", "stalled", "exhausted"]
 """How it ended: at rest, no step lowers the loss, or no iteration is left."""
 
 _FIRST_DAMPING, _LEAST_DAMPING = 1e-5, 1e-12
-_MOST_REJECTIONS = 25
 # At rest, a step promises to change the model by less than this part of a parameter's variance.
 _OF_STANDARD_ERROR = 1e-3
 # Less than this of the output's energy is rounding.
@@ -54,7 +53,8 @@ def descend(point: Point, max_iterations: int) -> Descent:
     while True:
         normal = _Normal.of(point)
         promised = normal.promised(0.0)
-        if promised <= max(_OF_STANDARD_ERROR * point.loss / point.data.count, nothing):
+        enough = max(_OF_STANDARD_ERROR * point.loss / point.data.count, nothing)
+        if promised <= enough:
             return Descent(point, "converged", iterations, evaluations)
         if iterations == max_iterations:
             return Descent(point, "exhausted", iterations, evaluations)
@@ -63,29 +63,30 @@ def descend(point: Point, max_iterations: int) -> Descent:
         steps.append((point.theta, step))
         if len(steps) > 2 and promised < _NEAR * point.loss:
             evaluations += 1
-            new = point.moved(_mixture(steps, normal.lengths[: len(step)]))
+            new = point.moved(_mixture(steps, normal.sizes[: len(step)]))
             if new is not None and point.loss - new.loss > _KEPT * promised:
                 point, damping = new, max(damping / 5.0, _LEAST_DAMPING)
                 continue
-        growth = 2.0
-        for tried in range(_MOST_REJECTIONS):
+        tried, growth = 0, 2.0
+        while True:
             evaluations += 1
             new = point.moved(point.theta + _bent(point, normal, damping))
             if new is not None and new.loss < point.loss:
                 damping = max(damping / 5.0, _LEAST_DAMPING) if tried == 0 else damping
                 point = new
                 break
-            damping, growth = damping * growth, growth * 2.0
-        else:
-            return Descent(point, "stalled", iterations, evaluations)
+            tried, damping, growth = tried + 1, damping * growth, growth * 2.0
+            # At a kink no step lowers the loss, and what a shorter one promises is soon nothing.
+            if normal.promised(damping) <= enough:
+                return Descent(point, "stalled", iterations, evaluations)
 
 
-def _mixture(steps: deque[tuple[Array, Array]], lengths: Array) -> Array:
+def _mixture(steps: deque[tuple[Array, Array]], sizes: Array) -> Array:
     """Anderson's mixture of the points (P,) and their steps (P,), each measured by what it changes."""
-    points, moves = (np.array(values) * lengths for values in zip(*steps, strict=True))
+    points, moves = (np.array(values) for values in zip(*steps, strict=True))
     apart, bends = np.diff(points, axis=0), np.diff(moves, axis=0)
-    weights = np.linalg.lstsq(bends.T, moves[-1], rcond=1e-8)[0]
-    return np.asarray((points[-1] + moves[-1] - weights @ (apart + bends)) / lengths)
+    weights = np.linalg.lstsq((bends * sizes).T, moves[-1] * sizes, rcond=1e-8)[0]
+    return np.asarray(points[-1] + moves[-1] - weights @ (apart + bends))
 
 
 def _bent(point: Point, normal: _Normal, damping: float) -> Array:
@@ -110,12 +111,14 @@ def norm(values: Array) -> float:
 class _Normal:
     """The normal equations of the steps, in the directions that change the output.
 
-    ``rows`` (P + K, M) are the derivatives by theta and by the coefficients that are solved for, ``lengths``
-    their lengths; ``root`` (K, R) and ``shared`` (P, R) say what the latter take over of the former.
-    ``values`` and ``vectors`` are of the P x P matrix that is left, ``right`` is the gradient along them.
+    ``rows`` (P + K, M) are the derivatives by theta and by the coefficients that are solved for, ``sizes``
+    their lengths, ``lengths`` the same with 1 for one that is nothing; ``root`` (K, R) and ``shared`` (P, R)
+    say what the latter take over of the former. ``values`` and ``vectors`` are of the P x P matrix that is
+    left, ``right`` is the gradient along them.
     """
 
     rows: Array
+    sizes: Array
     lengths: Array
     root: Array
     shared: Array
@@ -127,8 +130,8 @@ class _Normal:
     def of(cls, point: Point) -> _Normal:
         rows, count = point.rows(), len(point.theta)
         normal = rows @ rows.T
-        lengths = np.sqrt(np.diag(normal))
-        lengths[lengths == 0.0] = 1.0
+        sizes = np.sqrt(np.diag(normal))
+        lengths = np.where(sizes > 0.0, sizes, 1.0)
         normal /= np.outer(lengths, lengths)
         root = _inverse_root(normal[count:, count:])
         shared = normal[:count, count:] @ root
@@ -138,7 +141,7 @@ class _Normal:
         right = rows @ point.residuals / lengths
         reduced = right[:count] - shared @ (root.T @ right[count:])
         vectors = vectors[:, known]
-        return cls(rows, lengths, root, shared, values[known], vectors, vectors.T @ reduced)
+        return cls(rows, sizes, lengths, root, shared, values[known], vectors, vectors.T @ reduced)
 
     def promised(self, damping: float) -> float:
         """By how much a linear model says that the step lowers the loss."""

@@ -179,7 +179,10 @@ def _of_the_kernel(structure: ChainStructure, data: Data, few: Data) -> Iterator
                 squared = replace(data, u=x**2 - np.mean(x**2))
                 behind = wanted[last]
                 models = steiglitz_mcbride(squared, behind.nb, behind.nf, behind.nk)
-                linear = {first: model, last: min(models, key=lambda one: linear_loss(squared, one))}
+                nearest = min(models, key=lambda one: linear_loss(squared, one))
+                # Its gain has the unit of the output over the square of the input's.
+                b = np.asarray(nearest.b) / (norm(np.asarray(nearest.b)) or 1.0)
+                linear = {first: model, last: replace(nearest, b=tuple(b.tolist()))}
             if (point := scored(structure, linear, few)) is not None:
                 yield point
 
