@@ -38,6 +38,8 @@ STATIC: Sequence[Mapping[str, Any]] = (
 FIRST_STATIC: Mapping[str, Any] = {"kind": "cubic_spline", "knots": 8}
 """The static function with which orders are compared."""
 
+_UNSURE = 3
+
 
 @dataclass(frozen=True)
 class Orders:
@@ -67,18 +69,15 @@ def chain(
     return spec
 
 
-def orders_of(structure: str, n: int, nk: int) -> list[Orders]:
-    """The orders of the linear blocks for a linear approximation of order n with delay nk.
+def orders_of(structure: str, n: int, lag: int) -> list[Orders]:
+    """The orders of the linear blocks for a linear approximation of order n that surely answers at a lag.
 
-    A sampled block of n poles has n coefficients behind a delay of one sample; one more where it acts at once
-    or later, as the delay is not known so well. Two blocks share the poles, with one more each: complex ones
-    come in pairs. The last holds the delay.
+    A sampled block of n poles has n coefficients from the lag on, and one more where it acts at once. A delay
+    of more than one sample is never sure: three lags before it are left to the fit. Two blocks share the poles,
+    with one more each, as complex ones come in pairs; the last holds the delay.
     """
+    nk = lag if lag <= 1 else max(lag - _UNSURE, 0)
     if STRUCTURES[structure].count("L") == 1:
-        return [_sampled(n, nk)]
+        return [Orders(n + (lag - nk if lag else 1), n, nk)]
     half = (n + 1) // 2 + 1
-    return [_sampled(half, 0), _sampled(half, nk)]
-
-
-def _sampled(n: int, nk: int) -> Orders:
-    return Orders(n + (nk != 1), n, nk)
+    return [Orders(half + 1, half, 0), Orders(half + 1, half, nk)]

@@ -257,13 +257,10 @@ def identify(
 
 
 def first_lag(data: Data) -> int:
-    """The lag of the first numerator coefficient: what the correlation of output and input surely shows.
-
-    Where the output answers after two samples or more, one less: the first answer may be too small to show.
-    """
+    """The lag at which the output surely answers to the input, by their correlation; 0 if there is none."""
     found = correlation(data.u, data.y, data.experiments)
     shown = None if found is None else delay(found)
-    return 0 if shown is None else shown.low - (shown.low > 1)
+    return 0 if shown is None else shown.low
 
 
 def _grow(

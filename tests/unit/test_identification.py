@@ -103,8 +103,8 @@ def test_a_record_for_validation_leaves_all_of_the_record_to_be_fitted():
     np.testing.assert_array_equal(parts.output, other.y[10:])
 
 
-@pytest.mark.parametrize(("lags", "first"), [(0, 0), (1, 1), (3, 2), (7, 6)])
-def test_the_first_coefficient_is_one_before_what_surely_shows(lags, first):
+@pytest.mark.parametrize(("lags", "first"), [(0, 0), (1, 1), (3, 3), (7, 7)])
+def test_the_delay_is_the_lag_that_surely_answers(lags, first):
     draws = np.random.default_rng(lags)
     u = draws.standard_normal(1000)
     y = TransferFunction((*(0.0,) * lags, 1.0, 0.5), (0.7,)).filter(u) + 0.1 * draws.standard_normal(1000)
@@ -140,8 +140,10 @@ def test_a_chain_that_is_clearly_worse_is_not_chosen_for_being_simple():
 
 
 def test_two_linear_blocks_share_the_order_and_the_last_has_the_delay():
-    assert orders_of("wiener", 3, 2) == [Orders(4, 3, 2)]
-    assert orders_of("wiener_hammerstein", 4, 1) == [Orders(4, 3, 0), Orders(3, 3, 1)]
+    assert orders_of("wiener", 3, 1) == [Orders(3, 3, 1)]
+    assert orders_of("wiener", 3, 0) == [Orders(4, 3, 0)]
+    assert orders_of("wiener", 3, 7) == [Orders(6, 3, 4)]
+    assert orders_of("wiener_hammerstein", 4, 1) == [Orders(4, 3, 0), Orders(4, 3, 1)]
 
 
 @pytest.mark.parametrize("structure", STRUCTURES)

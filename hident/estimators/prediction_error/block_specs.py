@@ -148,16 +148,29 @@ class PolynomialBlock(StaticSpec):
         return Chebyshev(self.degree, low, high)
 
 
-def _knots(x: Array, low: float, high: float, count: int) -> tuple[float, ...]:
-    """Knots from low to high, evenly spaced; of a signal of fewer levels, its levels."""
+def _knots(x: Array, low: float, high: float, count: int, *, is_given: bool) -> tuple[float, ...]:
+    """Knots from low to high: evenly spaced over a range that was given.
+
+    Else each is half-way between its even place and a quantile of the signal: where there are many samples,
+    they can tell more, and the greatest of many samples is far out.
+    """
+    even = np.linspace(low, high, count)
+    if is_given:
+        return tuple(even.tolist())
+    middle = np.quantile(x, np.linspace(0.0, 1.0, count))
+    middle[0], middle[-1] = low, high
+    return tuple((0.5 * (even + middle)).tolist())
+
+
+def _levels(x: Array, most: int) -> tuple[float, ...]:
+    """The levels of a signal that has from 2 to so many; none of any other."""
     levels = np.unique(x)
-    knots = levels if 2 <= len(levels) <= count else np.linspace(low, high, count)
-    return tuple(knots.tolist())
+    return tuple(levels.tolist()) if 2 <= len(levels) <= most else ()
 
 
 @component("block", "piecewise_linear")
 class PiecewiseLinearBlock(StaticSpec):
-    """Straight lines between evenly spaced knots; of an input of fewer levels, between its levels.
+    """Straight lines between knots, more of them where there are more samples; or between a few levels.
 
     Examples
     --------
@@ -166,19 +179,20 @@ class PiecewiseLinearBlock(StaticSpec):
     """
 
     knots: Annotated[Count, Field(ge=2, le=500)]
-    """Number of knots."""
+    """Number of knots, evenly spaced where ``range`` is given."""
 
     def _basis(self, x: Array, low: float, high: float) -> Basis:
-        return PiecewiseLinear(_knots(x, low, high, self.knots))
+        knots = _knots(x, low, high, self.knots, is_given=self.is_fixed())
+        return PiecewiseLinear(_levels(x, self.knots) or knots)
 
 
 @component("block", "cubic_spline")
 class CubicSplineBlock(StaticSpec):
-    """Cubic spline on evenly spaced knots: two more coefficients than knots.
+    """Cubic spline on knots, more of them where there are more samples: two more coefficients than knots.
 
     Examples
     --------
-    >>> CubicSplineBlock(knots=3).basis(np.zeros(1), 0.0, 1.0).size
+    >>> CubicSplineBlock(knots=3).basis(np.linspace(0, 1, 9), 0.0, 1.0).size
     5
     """
 
@@ -186,7 +200,7 @@ class CubicSplineBlock(StaticSpec):
     """Number of knots, the ends of the range among them."""
 
     def _basis(self, x: Array, low: float, high: float) -> Basis:
-        return CubicSpline(tuple(np.linspace(low, high, self.knots).tolist()))
+        return CubicSpline(_knots(x, low, high, self.knots, is_given=self.is_fixed()))
 
 
 class _WithCorners(StaticSpec):
