@@ -127,10 +127,6 @@ class TestDerivatives:
             assert (up - down) / 2e-6 == pytest.approx(gradient[k], rel=1e-5, abs=1e-6 * point.loss)
 
 
-def record_of(system, samples=1000, seed=0, **settings):
-    return hi.simulate(system, hi.Iid(distribution="normal"), samples, seed=seed, **settings)
-
-
 def blocks_of(letters, **static):
     linear, found = iter(({"nb": 2, "nf": 2}, {"nb": 2, "nf": 1})), []
     for letter in letters:
@@ -436,3 +432,30 @@ class TestRefusals:
     def test_blocks_that_cannot_be(self, blocks, message):
         with pytest.raises(ConfigError, match=message):
             hi.PredictionError(blocks=blocks)
+
+
+class TestSearch:
+    """Systems whose best fit is met only by way of smooth functions."""
+
+    FIRST = TransferFunction((0.54, 0.21, -0.11), (0.81, -0.63))
+    SECOND = TransferFunction((0.137, 0.118, 0.016), (1.437, -0.512))
+    ALONE = TransferFunction((0.96, -1.32, 0.45), (1.488, -0.53))
+
+    def ratio(self, blocks, y, u, seed):
+        """The mean squared error of the fit over the noise's."""
+        v = lfilter([1.0], [1.0, -1.2, 0.5], gaussian(len(u), seed + 50))
+        v *= 0.056 * np.std(y) / np.std(v)
+        spec = hi.PredictionError(blocks=blocks, start="rest")
+        return hi.fit(spec, Record(u, y + v)).values["mse"] / np.mean(v**2)
+
+    def test_functions_that_turn_back_around_a_linear_block(self):
+        u = gaussian(2000, 0)
+        y = CUBIC(self.ALONE.filter(CUBIC(u)))
+        spline, linear = hi.CubicSplineBlock(knots=6), hi.LinearBlock(nb=3, nf=2)
+        assert self.ratio([spline, linear, spline], y, u, 0) < 1.05
+
+    def test_an_even_function_between_linear_blocks(self):
+        u = gaussian(2000, 0)
+        y = self.SECOND.filter(np.abs(self.FIRST.filter(u)))
+        spline, linear = hi.CubicSplineBlock(knots=6), hi.LinearBlock(nb=3, nf=2)
+        assert self.ratio([linear, spline, linear], y, u, 0) < 1.05

@@ -22,6 +22,8 @@ from hident.static_functions import StaticFunction
 # The race: so many samples, and iterations of each start, then of the best of them.
 _FIRST_HEAT, _SECOND_HEAT = (6000, 6), (12000, 40)
 _KEPT_OF_FIRST = 3
+# With smooth functions: so many starts, of which so many go on for so many iterations.
+_RACED_OF_SMOOTH, _KEPT_OF_SMOOTH, _SMOOTH_ITERATIONS = 6, 2, 12
 # Two fits whose losses are nearer than this are one optimum.
 _SAME = 1e-3
 
@@ -71,9 +73,14 @@ def fit_chain(
     finalists = distinct([one.point for one in raced], _KEPT_OF_FIRST)
     most = _SECOND_HEAT[1] if len(second.u) < len(data.u) else max_iterations
     second_heat = _heat(structure, [one.parameters for one in finalists], second, most)
+    smooth = structure.smooth(first.u)
+    # Of several static blocks the starts were smooth already.
+    if _agreeing(second_heat) == 1 and smooth is not structure and len(structure.free_static) == 1:
+        others = _smooth_starts(structure, smooth, points, first)[:1]
+        second_heat += _heat(structure, [one.parameters for one in others], second, most)
+        second_heat.sort(key=lambda one: one.point.loss)
     evaluations += sum(one.evaluations for one in second_heat)
-    best = second_heat[0]
-    agreeing = sum(one.point.loss <= best.point.loss * (1.0 + _SAME) for one in second_heat)
+    best, agreeing = second_heat[0], _agreeing(second_heat)
     iterations = best.iterations
     if len(second.u) < len(data.u):
         [best] = _heat(structure, [best.point.parameters], data, max_iterations)
@@ -82,13 +89,22 @@ def fit_chain(
         with_noise = descend(_with_noise(best.point, ar, ma), max_iterations)
         evaluations, iterations = evaluations + with_noise.evaluations, iterations + with_noise.iterations
         best = with_noise
-    return ChainFit(best.point, best.status, iterations, evaluations, len(points), len(finalists), agreeing)
+    return ChainFit(best.point, best.status, iterations, evaluations, len(points), len(second_heat), agreeing)
+
+
+def _agreeing(found: Sequence[Descent]) -> int:
+    """How many came to the least loss."""
+    least = min(one.point.loss for one in found)
+    return sum(one.point.loss <= least * (1.0 + _SAME) for one in found)
 
 
 def all_starts(structure: ChainStructure, first: Data, data: Data) -> list[Point]:
     """The starts of a chain, scored on the first heat's data; of several static blocks by shorter chains."""
+    free = structure.free_static
+    if len(free) > 1 and (smooth := structure.smooth(first.u)) is not structure:
+        points = distinct(all_starts(smooth, first, data), _RACED_OF_SMOOTH)
+        return _smooth_starts(structure, smooth, points, first)
     found = starts(structure, data)
-    free = [i for i in structure.static if i not in structure.given]
     if len(free) > 1:
         for i in free:
             shorter = structure.without(i)
@@ -97,6 +113,17 @@ def all_starts(structure: ChainStructure, first: Data, data: Data) -> list[Point
                 found += _lengthened(structure, i, raced.point, first)
     scored = [point_at(first, one.parameters) for one in found]
     return sorted((one for one in scored if one is not None), key=lambda one: one.loss)
+
+
+def _smooth_starts(
+    structure: ChainStructure, smooth: ChainStructure, points: Sequence[Point], first: Data
+) -> list[Point]:
+    """Where the chain with smooth functions comes to from these points, as starts of the chain itself."""
+    raced = _heat(smooth, [one.parameters for one in points], first, _FIRST_HEAT[1])
+    best = distinct([one.point for one in raced], _KEPT_OF_SMOOTH)
+    fitted = _heat(smooth, [one.parameters for one in best], first, _SMOOTH_ITERATIONS)
+    found = [point_at(first, structure.ranged(first, one.point.parameters)) for one in fitted]
+    return sorted((one for one in found if one is not None), key=lambda one: one.loss)
 
 
 def _lengthened(structure: ChainStructure, i: int, point: Point, data: Data) -> list[Point]:

@@ -18,10 +18,12 @@ from hident.estimators.prediction_error.parameters import (
     Structure,
 )
 from hident.linear_blocks import TransferFunction
-from hident.static_functions import Basis, StaticFunction
+from hident.static_functions import Basis, Chebyshev, StaticFunction
 
 # How far beyond the signal that was met a basis reaches, relative to its range.
 _MARGIN = 0.02
+# The degree of the polynomials in place of functions of more coefficients, while a start is sought.
+_SMOOTH = 3
 
 
 class StaticKind(Protocol):
@@ -32,6 +34,17 @@ class StaticKind(Protocol):
 
     def is_fixed(self) -> bool:
         """Whether its range was given, and does not follow the signal."""
+
+
+@dataclass(frozen=True)
+class _Smooth:
+    """A polynomial of low degree."""
+
+    def basis(self, x: Array, low: float, high: float) -> Basis:
+        return Chebyshev(_SMOOTH, low, high)
+
+    def is_fixed(self) -> bool:
+        return False
 
 
 @dataclass(frozen=True)
@@ -59,6 +72,11 @@ class ChainStructure:
         """The places of the static blocks."""
         return tuple(i for i, block in enumerate(self.blocks) if not isinstance(block, LinearStructure))
 
+    @property
+    def free_static(self) -> tuple[int, ...]:
+        """The places of the static blocks that are not given."""
+        return tuple(i for i in self.static if i not in self.given)
+
     def without(self, i: int) -> ChainStructure:
         """The chain with one block less."""
 
@@ -71,11 +89,29 @@ class ChainStructure:
             frozenset(moved(j) for j in self.held if j != i),
         )
 
+    def smooth(self, u: Array) -> ChainStructure:
+        """The chain with cubic polynomials for functions of more coefficients; itself if there are none.
+
+        With fewer coefficients fewer fits are the best ones nearby. Given functions stay, and those whose
+        range was given; u (N,) is some signal.
+        """
+
+        def is_rich(i: int, block: LinearStructure | StaticKind) -> bool:
+            if isinstance(block, LinearStructure) or i in self.given or block.is_fixed():
+                return False
+            return block.basis(u, float(np.min(u)), float(np.max(u))).size > _SMOOTH + 1
+
+        rich = [is_rich(i, block) for i, block in enumerate(self.blocks)]
+        if not any(rich):
+            return self
+        blocks = (_Smooth() if one else block for one, block in zip(rich, self.blocks, strict=True))
+        return replace(self, blocks=tuple(blocks))
+
     def made(self, data: Data, linear: Mapping[int, TransferFunction], functions: Functions) -> Parameters:
         """The parameters with these linear blocks, ranges after the signals, and functions for static blocks.
 
         A static block of which no function is said is the identity; the last one will be solved for. What
-        stands before a static block that is not held is scaled to a standard deviation of one.
+        stands before a static block of which nothing is said is scaled to a standard deviation of one.
         """
         blocks: list[Block] = []
         structures: list[Structure] = []
@@ -87,7 +123,8 @@ class ChainStructure:
                 y = data.through(made, x)
                 is_before_static = i + 1 < len(self.blocks) and i + 1 in self.static
                 scale = float(np.std(y[data.counted]))
-                if i not in self.given and is_before_static and i + 1 not in self.given and scale > 0.0:
+                is_met = i + 1 in self.given or functions.get(i + 1) is not None
+                if i not in self.given and is_before_static and not is_met and scale > 0.0:
                     made = replace(made, b=tuple(b / scale for b in made.b))
                     y = y / scale
                 structures.append(block)
