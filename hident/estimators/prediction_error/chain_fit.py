@@ -23,7 +23,7 @@ from hident.static_functions import StaticFunction
 _FIRST_HEAT, _SECOND_HEAT = (6000, 6), (12000, 40)
 _KEPT_OF_FIRST = 3
 # With smooth functions: so many starts, of which so many go on for so many iterations.
-_RACED_OF_SMOOTH, _KEPT_OF_SMOOTH, _SMOOTH_ITERATIONS = 6, 3, 20
+_RACED_OF_SMOOTH, _KEPT_OF_SMOOTH, _SMOOTH_ITERATIONS = 6, 2, 12
 # Two fits whose losses are nearer than this are one optimum.
 _SAME = 1e-3
 
@@ -74,9 +74,12 @@ def fit_chain(
     most = _SECOND_HEAT[1] if len(second.u) < len(data.u) else max_iterations
     second_heat = _heat(structure, [one.parameters for one in finalists], second, most)
     smooth = structure.smooth(first.u)
-    # Of several static blocks the starts were smooth already.
-    if _agreeing(second_heat) == 1 and smooth is not structure and len(structure.free_static) == 1:
-        others = _smooth_starts(structure, smooth, points, first)
+    if _agreeing(second_heat) == 1 and smooth is not structure:
+        # Of several static blocks the starts were smooth already.
+        if len(structure.free_static) > 1:
+            others = distinct(_nested(structure, first, data), 2)
+        else:
+            others = _smooth_starts(structure, smooth, points, first)[:1]
         second_heat += _heat(structure, [one.parameters for one in others], second, most)
         second_heat.sort(key=lambda one: one.point.loss)
     evaluations += sum(one.evaluations for one in second_heat)
@@ -104,15 +107,21 @@ def all_starts(structure: ChainStructure, first: Data, data: Data) -> list[Point
     if len(free) > 1 and (smooth := structure.smooth(first.u)) is not structure:
         points = distinct(all_starts(smooth, first, data), _RACED_OF_SMOOTH)
         return _smooth_starts(structure, smooth, points, first)
-    found = starts(structure, data)
-    if len(free) > 1:
-        for i in free:
+    found = [*starts(structure, data), *_nested(structure, first, data)]
+    scored = [point_at(first, one.parameters) for one in found]
+    return sorted((one for one in scored if one is not None), key=lambda one: one.loss)
+
+
+def _nested(structure: ChainStructure, first: Data, data: Data) -> list[Point]:
+    """Of several static blocks, the fits of the chain without one of them."""
+    found: list[Point] = []
+    if len(structure.free_static) > 1:
+        for i in structure.free_static:
             shorter = structure.without(i)
             points = distinct(all_starts(shorter, first, data), 4)
             for raced in _heat(shorter, [one.parameters for one in points], first, _FIRST_HEAT[1])[:2]:
                 found += _lengthened(structure, i, raced.point, first)
-    scored = [point_at(first, one.parameters) for one in found]
-    return sorted((one for one in scored if one is not None), key=lambda one: one.loss)
+    return found
 
 
 def _smooth_starts(
