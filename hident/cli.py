@@ -507,6 +507,10 @@ def identify(
         int | None,
         typer.Option("--n-init", min=0, help="First samples of each experiment that are not fitted."),
     ] = None,
+    start: Annotated[
+        str,
+        typer.Option(metavar="settled|rest", help="Before a record: its first input for ever, or nothing."),
+    ] = "settled",
     out: Annotated[Path | None, typer.Option(help="Folder to write to (default: out/identify_FILE).")] = None,
 ) -> None:
     """Find a model of a measured record.
@@ -519,6 +523,7 @@ def identify(
         files,
         structure or (),
         n_init,
+        start,
         out,
         input=input_,
         output=output,

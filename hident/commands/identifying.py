@@ -9,12 +9,13 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 import yaml
 
 from hident import __version__
+from hident.block_chain import Start
 from hident.commands.measured import record_of
 from hident.commands.models import draw_model, save_figure
 from hident.commands.showing import print_columns
@@ -31,10 +32,18 @@ from hident.new_files import replacing
 from hident.records import Record
 
 _SHOWN_OF_EACH = 3
+_EVERY = 20.0
+# A fit below this, in percent, explains next to nothing.
+_POOR = 20.0
 
 
 def identify_file(
-    files: Sequence[Path], structures: Sequence[str], n_init: int | None, out: Path | None, **options: Any
+    files: Sequence[Path],
+    structures: Sequence[str],
+    n_init: int | None,
+    start: str,
+    out: Path | None,
+    **options: Any,
 ) -> None:
     """Fit structures to the record of some files, print what came out, and write it to a folder.
 
@@ -49,12 +58,22 @@ def identify_file(
             raise ConfigError(
                 f"--structure: unknown structure '{name}'{near} (allowed: {one_of(STRUCTURES)})"
             )
+    if start not in get_args(Start):
+        raise ConfigError(f"--start: must be settled or rest{did_you_mean(start, get_args(Start))}")
     spec = record_of(files, **options)
     record = spec.read(Path())
     folder = out or Path("out") / f"identify_{files[0].stem}"
+    # Before what takes long: a folder that cannot be made would cost it.
+    _make(folder)
     begun = time.monotonic()
     try:
-        found = identify(record, structures or tuple(STRUCTURES), n_init=n_init, tell=_Progress(begun))
+        found = identify(
+            record,
+            structures or tuple(STRUCTURES),
+            n_init=n_init,
+            start=cast(Start, start),
+            tell=_Progress(begun),
+        )
         model = _model(found, record, spec)
     except EstimationError as error:
         raise ConfigError(f"{one_of(map(str, files))}: {error}") from None
@@ -70,16 +89,20 @@ def identify_file(
 
 
 class _Progress:
-    """A line on a terminal that says what has been tried."""
+    """A line on a terminal that says what has been tried; elsewhere one from time to time."""
 
     def __init__(self, begun: float) -> None:
-        self.begun, self.count = begun, 0
+        self.begun, self.count, self.said = begun, 0, begun
 
     def __call__(self, trial: Trial) -> None:
         self.count += 1
+        now = time.monotonic()
+        text = f"{self.count} chains tried, {now - self.begun:.0f} s: {trial.structure}"
         if sys.stderr.isatty():
-            text = f"{self.count} tried, {time.monotonic() - self.begun:.0f} s: {trial.structure}"
             print(f"\r{text:70}", end="", file=sys.stderr, flush=True)
+        elif now - self.said > _EVERY:
+            self.said = now
+            print(text, file=sys.stderr, flush=True)
 
 
 def _clear() -> None:
@@ -174,6 +197,12 @@ def _said(found: Identification, record: Record) -> Iterator[str]:
         yield f"not fitted ({count}): {reason}"
     if found.model_fit.finalists > 1 and found.model_fit.agreeing == 1:
         yield "warning: only one of the starts came to this optimum: there may be a better one"
+    fit = 100.0 * (1.0 - found.chosen.rms / (float(np.std(found.parts.output)) or 1.0))
+    if fit < _POOR:
+        yield (
+            f"warning: the best of these explains next to nothing (fit {fit:.1f} %): are these the right "
+            "columns, is the system stable, does the input vary enough? `hident show` says more"
+        )
     if found.parts.everything is not found.parts.estimation:
         yield "the chosen chain was then fitted to all samples"
     yield "what it leaves of the samples kept apart:"
@@ -183,6 +212,13 @@ def _said(found: Identification, record: Record) -> Iterator[str]:
     except EstimationError as error:
         yield f"- {error}"
     yield ""
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"{folder} cannot be made: {(error.strerror or str(error)).lower()}") from None
 
 
 def _write(
@@ -195,10 +231,6 @@ def _write(
 ) -> list[str]:
     from hident.reports.model_figures import comparison
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(f"{folder} cannot be made: {(error.strerror or str(error)).lower()}") from None
     write_model(model, folder / "model.json")
     rows = _rows(found, record, None)
     with replacing(folder / "table.md") as new:

@@ -19,6 +19,7 @@ Experiments = Literal["one", "at_one_interval", "any"]
 
 # Sampling intervals this close, relative to their size, are one.
 _SAME_INTERVAL = 1e-9
+_HUGE = 1e60
 # Values this close, relative to the largest, are one.
 _ROUNDING = 1e-13
 
@@ -188,6 +189,15 @@ def require_finite(y: Array) -> None:
     wrong = len(y) - np.count_nonzero(np.isfinite(y))
     if wrong:
         raise EstimationError(f"the output has {wrong} of {len(y)} samples that are not finite")
+
+
+def require_moderate(signal: Array, name: str) -> None:
+    """Raise EstimationError if squares of the signal, the input or the output as ``name`` says, overflow."""
+    largest = float(np.max(np.abs(signal), initial=0.0))
+    if not largest < _HUGE or 0.0 < largest < 1.0 / _HUGE:
+        raise EstimationError(
+            f"the {name} reaches {largest:g}, which no computation with squares survives: use another unit"
+        )
 
 
 def require_varying(signal: Array, name: str) -> None:

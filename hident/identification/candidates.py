@@ -73,8 +73,8 @@ def orders_of(structure: str, n: int, lag: int) -> list[Orders]:
     """The orders of the linear blocks for a linear approximation of order n that surely answers at a lag.
 
     A sampled block of n poles has n coefficients from the lag on, and one more where it acts at once. A delay
-    of more than one sample is never sure: three lags before it are left to the fit. Two blocks share the poles,
-    with one more each, as complex ones come in pairs; the last holds the delay.
+    of more than one sample is never sure: three lags before it are left to the fit. Two blocks share the
+    poles, with one more each, as complex ones come in pairs; the last holds the delay.
     """
     nk = lag if lag <= 1 else max(lag - _UNSURE, 0)
     if STRUCTURES[structure].count("L") == 1:

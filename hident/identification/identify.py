@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from hident.arrays import Array
-from hident.block_chain import BlockChain
+from hident.block_chain import BlockChain, Start
 from hident.config.spec import canonical
 from hident.errors import EstimationError
-from hident.estimators.base import require_finite, require_varying
+from hident.estimators.base import require_finite, require_moderate, require_varying
 from hident.estimators.prediction_error.block_specs import LinearBlock
 from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain
 from hident.estimators.prediction_error.criterion import Data, simulated
@@ -99,14 +99,14 @@ class Split:
         return np.asarray(self.validation.u[self.kept])
 
 
-def split(record: Record, n_init: int | None) -> Split:
+def split(record: Record, n_init: int | None, start: Start = "settled") -> Split:
     """The validation record if there is one, else the last fifth of each experiment."""
     shortest = min(part.stop - part.start for part in record.experiments)
     initial = min(_MOST_INITIAL, shortest // _INITIAL_SHARE) if n_init is None else n_init
-    everything = Data(record.u, record.y, record.experiments, "settled", initial)
+    everything = Data(record.u, record.y, record.experiments, start, initial)
     if record.validation is not None:
         other = record.validation
-        kept = Data(other.u, other.y, other.experiments, "settled", initial)
+        kept = Data(other.u, other.y, other.experiments, start, initial)
         return Split(
             everything,
             everything,
@@ -122,7 +122,7 @@ def split(record: Record, n_init: int | None) -> Split:
     several = " of each experiment" if len(firsts) > 1 else ""
     tails = np.concatenate(lasts)
     return Split(
-        Data(u, y, joined(first.stop - first.start for first in firsts), "settled", initial),
+        Data(u, y, joined(first.stop - first.start for first in firsts), start, initial),
         everything,
         everything,
         tails,
@@ -168,6 +168,7 @@ def identify(
     structures: Sequence[str] = tuple(STRUCTURES),
     *,
     n_init: int | None = None,
+    start: Start = "settled",
     tell: Callable[[Trial], None] = lambda trial: None,
 ) -> Identification:
     """Try structures on a record.
@@ -181,6 +182,8 @@ def identify(
         Names among :data:`hident.identification.candidates.STRUCTURES`.
     n_init : int, optional
         First samples of each experiment that are not fitted; by default 250, or a twentieth of the shortest.
+    start : {"settled", "rest"}
+        What was before the record: its first input for ever, or nothing.
     tell : callable
         Is given each trial when it is done.
 
@@ -200,9 +203,11 @@ def identify(
     ('hammerstein', 0.7)
     """
     require_finite(record.y)
+    require_moderate(record.u, "input")
+    require_moderate(record.y, "output")
     require_varying(record.u, "input")
     require_varying(record.y, "output")
-    parts = split(record, n_init)
+    parts = split(record, n_init, start)
     if parts.estimation.count < _FEWEST or len(parts.output) < _FEWEST:
         raise EstimationError(
             f"{parts.estimation.count} samples to fit and {len(parts.output)} to choose by are too few: at "
@@ -223,16 +228,17 @@ def identify(
     linear = [
         tried(_fitted("linear", spec, few, parts, _LINEAR_STARTS))
         for n in range(1, highest + 1)
-        for spec in [chain("linear", orders_of("linear", n, nk), {}, n_init=initial)]
+        for spec in [chain("linear", orders_of("linear", n, nk), {}, n_init=initial, start=start)]
     ]
-    n = 1 + next((i for i, one in enumerate(linear) if one is _simplest(linear)), 1)
+    fitted = [i for i, one in enumerate(linear) if one.fit is not None]
+    n = 1 + (linear.index(_simplest([linear[i] for i in fitted])) if fitted else 1)
     for structure in structures:
         if structure != "linear":
-            _grow(structure, n, nk, initial, short, parts, tried)
+            _grow(structure, n, nk, short, parts, tried)
     wanted = [one for one in trials if one.fit is not None and one.structure in structures]
     if not wanted:
-        reasons = "; ".join(dict.fromkeys(one.reason for one in trials if one.reason))
-        raise EstimationError(f"nothing could be fitted: {reasons}")
+        reason = next((one.reason for one in trials if one.reason), "no structure was asked for")
+        raise EstimationError(f"nothing could be fitted: {reason}")
     chosen = _simplest(wanted)
     # The orders were compared with another function: with the chosen one, lower ones may do.
     while len(short.u) == len(parts.estimation.u) and (spec := _smaller(chosen.spec)) is not None:
@@ -267,13 +273,13 @@ def _grow(
     structure: str,
     n: int,
     nk: int,
-    initial: int,
     short: Data,
     parts: Split,
     tried: Callable[[Trial], Trial],
 ) -> None:
     """Orders around the linear ones with one static function, then other functions with the best of them."""
     step = STRUCTURES[structure].count("L")
+    initial, start = parts.everything.n_init, parts.everything.start
     first: list[Trial] = []
     seen = set()
     waiting = [max(n - step, 1), n, n + step]
@@ -283,7 +289,7 @@ def _grow(
         if tuple(orders) in seen:
             continue
         seen.add(tuple(orders))
-        spec = chain(structure, orders, FIRST_STATIC, n_init=initial)
+        spec = chain(structure, orders, FIRST_STATIC, n_init=initial, start=start)
         first.append(tried(_fitted(structure, spec, short.busiest(_ORDERS), parts)))
         # While the highest orders are the best, there may be better ones.
         if not waiting and first[-1].rms <= min(one.rms for one in first) < np.inf and m + step <= _HIGHEST:
@@ -294,11 +300,11 @@ def _grow(
         if found:
             best = min((one for one in found if one.rms <= _CLOSE * least), key=lambda one: one.count)
             assert best.fit is not None
-            spec = chain(structure, list(_orders(best.spec)), static, n_init=initial)
+            spec = chain(structure, list(_orders(best.spec)), static, n_init=initial, start=start)
             tried(_gone_on(structure, spec, best.fit, short, parts))
         elif static["kind"] != FIRST_STATIC["kind"]:
             # An input of few levels may tell the numbers of simpler functions apart.
-            simpler = chain(structure, orders_of(structure, n, nk), static, n_init=initial)
+            simpler = chain(structure, orders_of(structure, n, nk), static, n_init=initial, start=start)
             tried(_fitted(structure, simpler, short, parts))
 
 
@@ -316,7 +322,7 @@ def _smaller(spec: PredictionError) -> PredictionError | None:
                 return None
             written |= {"nb": block.nb - 1, "nf": block.nf - 1}
         blocks.append(written)
-    return PredictionError(blocks=blocks, n_init=spec.n_init)  # type: ignore[arg-type]
+    return PredictionError(blocks=blocks, n_init=spec.n_init, start=spec.start)
 
 
 def _fitted(structure: str, spec: PredictionError, data: Data, parts: Split, most_starts: int = 8) -> Trial:

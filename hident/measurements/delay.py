@@ -59,7 +59,9 @@ def correlation(u: Array, y: Array, parts: Parts) -> Correlation | None:
     if linear is None or first(linear) is not None:
         return linear
     square = np.square(u - np.mean(u))
-    even = _prewhitened(square, y, parts, "square of the input") if np.std(square) > 1e-6 else None
+    even = (
+        _prewhitened(square, y, parts, "square of the input") if np.std(square) > 1e-6 * np.var(u) else None
+    )
     return even if even is not None and first(even) is not None else linear
 
 

@@ -23,6 +23,7 @@ from hident.engine.fingerprint import code
 from hident.engine.results import Results
 from hident.engine.run_files import PAGE, TABLE, TRIALS, VERDICTS, figure_file, table_file
 from hident.engine.trial import digest
+from hident.errors import TrialFailed
 from hident.ledger.published import PUBLISHED, REASONS
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import Verdict, frame, judge
@@ -100,7 +101,7 @@ class Outputs:
                 }
             )
         for error in undrawn.values():
-            if not isinstance(error, ValueError):
+            if not isinstance(error, ValueError | TrialFailed):
                 raise error
         return tuple(
             f"{plan.path}: figures.{name}: cannot be drawn ({said})"

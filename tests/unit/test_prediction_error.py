@@ -15,8 +15,7 @@ from hident.estimators.prediction_error.gauge import gain_of, normalised
 from hident.estimators.prediction_error.parameters import LinearStructure, Parameters, StaticStructure
 from hident.fitted_model import FittedModel, NoiseModel
 from hident.linear_blocks import TransferFunction
-from hident.records import Part, Record
-from hident.signals.base import Held
+from hident.records import Held, Part, Record
 from hident.static_functions import (
     Chebyshev,
     CubicSpline,
@@ -45,6 +44,12 @@ CORNERED = {
     "dead_zone": StaticFunction(DeadZone(-0.6, 0.8), (0.2, 1.0, 2.0)),
 }
 CUBIC = hi.Polynomial(coefficients=[0.0, 1.0, 0.3, -0.1])
+
+
+def model_of(found):
+    """The chain of blocks that an estimate holds."""
+    assert isinstance(found.model, FittedModel)
+    return found.model
 
 
 def function(basis, seed=0):
@@ -155,9 +160,9 @@ class TestRecoveryWithoutNoise:
         u, truth = gaussian(), truth_of(letters)
         y = truth.response(u, start)
         found = hi.fit(hi.PredictionError(blocks=blocks_of(letters), start=start), Record(u, y))
-        model = found.model.simulate(Record(u, y))
+        model = model_of(found).simulate(Record(u, y))
         np.testing.assert_allclose(model, y, rtol=0.0, atol=1e-8 * np.std(y))
-        for block, true in zip(found.model.chain.linear, truth.linear, strict=True):
+        for block, true in zip(model_of(found).chain.linear, truth.linear, strict=True):
             np.testing.assert_allclose(block.a, true.a, rtol=0.0, atol=1e-8)
             gain = true.static_gain()
             np.testing.assert_allclose(block.b, np.array(true.b) / gain, rtol=0.0, atol=1e-8)
@@ -170,7 +175,7 @@ class TestRecoveryWithoutNoise:
         u = gaussian()
         y = truth.response(u, start)
         blocks = [hi.LinearBlock(nb=2, nf=2, nk=1), block]
-        found = hi.fit(hi.PredictionError(blocks=blocks, start=start), Record(u, y)).model.chain
+        found = model_of(hi.fit(hi.PredictionError(blocks=blocks, start=start), Record(u, y))).chain
         gain = FIRST.static_gain()
         np.testing.assert_allclose(found.linear[0].a, FIRST.a, atol=1e-7)
         np.testing.assert_allclose(gain * np.array(found.static[0].range), cornered.range, atol=1e-6)
@@ -248,7 +253,7 @@ class TestGivenBlocks:
         given = hi.Arma(b=[1.0 / 3.0, 0.5], a=[0.9, -0.3])
         blocks = [hi.LinearBlock(nb=2, nf=2, start=given, held=True), *blocks_of("NL")[:1]]
         found = hi.fit(hi.PredictionError(blocks=blocks), noisy("LN"))
-        assert found.model.chain.blocks[0] == TransferFunction((1.0 / 3.0, 0.5), (0.9, -0.3))
+        assert model_of(found).chain.blocks[0] == TransferFunction((1.0 / 3.0, 0.5), (0.9, -0.3))
         assert found.values["se_b_0"] == found.values["se_a_1"] == 0.0
 
     @pytest.mark.parametrize("letters", ["NL", "LN", "LNL"])
@@ -256,7 +261,7 @@ class TestGivenBlocks:
         given = hi.PolynomialBlock(degree=3, range=(-3.0, 3.0), start=CUBIC, held=True)
         blocks = [given if one.kind == "polynomial" else one for one in blocks_of(letters)]
         found = hi.fit(hi.PredictionError(blocks=blocks), noisy(letters))
-        assert found.model.chain.static[0] == given.given()
+        assert model_of(found).chain.static[0] == given.given()
 
     def test_the_search_starts_where_it_is_told(self):
         # An even function behind a block far from its linear approximation, which is nothing.
@@ -267,7 +272,7 @@ class TestGivenBlocks:
         found = hi.fit(spec, Record(u, y))
         assert found.values["iterations"] == 0.0
         assert found.values["starts"] == 1.0
-        np.testing.assert_allclose(found.model.simulate(Record(u, y)), y, rtol=0.0, atol=1e-10)
+        np.testing.assert_allclose(model_of(found).simulate(Record(u, y)), y, rtol=0.0, atol=1e-10)
 
 
 class TestExcitation:
@@ -314,9 +319,9 @@ class TestInvariance:
     def test_units_of_input_and_output(self, kind, letters):
         blocks = [UNITS[kind] if one.kind == "polynomial" else one for one in blocks_of(letters)]
         spec, record = hi.PredictionError(blocks=blocks), noisy(letters, static=CORNERED.get(kind))
-        own = hi.fit(spec, record).model.simulate(record)
+        own = model_of(hi.fit(spec, record)).simulate(record)
         other = Record(3e4 * record.u, 1e-3 * record.y)
-        scaled = hi.fit(spec, other).model.simulate(other)
+        scaled = model_of(hi.fit(spec, other)).simulate(other)
         np.testing.assert_allclose(1e3 * scaled, own, rtol=0.0, atol=1e-6 * np.std(own))
 
     @pytest.mark.parametrize("letters", ["NL", "LN", "LNL"])
@@ -329,7 +334,9 @@ class TestInvariance:
             parts, begin = {}, 0
             for record in records:
                 end = begin + len(record)
-                parts[f"part {len(record)}"] = Part(begin, end, 1.0, Held(np.arange(len(record)), record.u))
+                parts[f"part {len(record)}"] = Part(
+                    begin, end, 1.0, Held(np.arange(len(record), dtype=float), record.u)
+                )
                 begin = end
             return hi.fit(spec, Record(u, y, parts=parts)).values
 
@@ -383,22 +390,22 @@ def fitted():
 class TestPrediction:
     def test_one_step_errors_are_the_innovations(self, fitted):
         found, record, e = fitted
-        errors = record.y - found.model.predict(record)
+        errors = record.y - model_of(found).predict(record)
         assert np.var(errors) == pytest.approx(np.var(e), rel=0.02)
         assert np.mean(errors**2) == pytest.approx(found.values["mse"], rel=1e-9)
-        assert found.model.noise.variance == pytest.approx(found.values["mse"])
+        assert model_of(found).noise.variance == pytest.approx(found.values["mse"])
 
     def test_more_steps_lie_between_one_step_and_simulation(self, fitted):
         found, record, _ = fitted
-        errors = [np.var(record.y - found.model.predict(record, k)) for k in (1, 2, 5, 50)]
-        simulated = np.var(record.y - found.model.simulate(record))
+        errors = [np.var(record.y - model_of(found).predict(record, k)) for k in (1, 2, 5, 50)]
+        simulated = np.var(record.y - model_of(found).simulate(record))
         assert errors == sorted(errors)
         assert errors[0] < 0.9 * errors[1]
         assert errors[-1] == pytest.approx(simulated, rel=1e-3)
 
     def test_two_steps_leave_the_noise_of_two_innovations(self, fitted):
         found, record, e = fitted
-        errors = record.y - found.model.predict(record, 2)
+        errors = record.y - model_of(found).predict(record, 2)
         # v_k = e_k + .9 e_{k-1} + what was known two samples before.
         assert np.var(errors) == pytest.approx((1.0 + 0.9**2) * np.var(e), rel=0.03)
 
@@ -412,7 +419,8 @@ class TestPrediction:
         records = [Record(gaussian(40, k), gaussian(40, k + 5)) for k in range(2)]
         held = [Held(np.arange(40.0), one.u) for one in records]
         parts = {str(k): Part(40 * k, 40 * (k + 1), 1.0, held[k]) for k in range(2)}
-        joined = Record(*(np.concatenate([getattr(one, n) for one in records]) for n in "uy"), parts=parts)
+        u, y = (np.concatenate([getattr(one, name) for one in records]) for name in "uy")
+        joined = Record(u, y, parts=parts)
         expected = np.concatenate([model.predict(one, 3) for one in records])
         np.testing.assert_array_equal(model.predict(joined, 3), expected)
 

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from hident.errors import ConfigError
+from hident.errors import ConfigError, EstimationError
 from hident.reports.figures.curve import Curve
 from hident.reports.output import Outputs, check, markdown
 from tests.unit.results_maker import made
@@ -91,6 +91,19 @@ def test_empty_lists_and_intervals_are_refused(tmp_path, rest):
 def _two_figures(label="N"):
     other = curve(x="samples").replace("figures:\n  f:", "  g:")
     return curve(x="samples", x_label=f"'{label}'") + other
+
+
+def test_an_estimate_that_says_nothing_where_a_figure_asks_is_named(tmp_path, monkeypatch):
+    results = made(tmp_path, {}, rest=_two_figures())
+
+    def draw(self, results, verdicts):
+        raise EstimationError("7 of 9 points lie outside the domain of the basis")
+
+    monkeypatch.setattr(Curve, "draw", draw)
+    said = Outputs(results.plan, tmp_path / "out").write(results, {})
+    assert [line.partition("figures.")[2] for line in said] == [
+        f"{name}: cannot be drawn (7 of 9 points lie outside the domain of the basis)" for name in "fg"
+    ]
 
 
 def test_a_label_that_is_no_mathematics_is_named_and_withholds_nothing_else(tmp_path):

@@ -111,7 +111,7 @@ def test_scaled_is_a_factor_and_a_constant(kind, factor, offset, seed):
 def test_a_cubic_spline_holds_every_cubic_polynomial():
     basis = CubicSpline((-5.0, -1.0, 2.0, 5.0))
     target = 1.0 - 2.0 * X + 0.3 * X**2 - 0.1 * X**3
-    c = np.linalg.lstsq(basis.rows(X).T, target, rcond=None)[0]
+    c = np.asarray(np.linalg.lstsq(basis.rows(X).T, target, rcond=None)[0], dtype=float)
     np.testing.assert_allclose(basis.value(c, X), target, rtol=1e-10, atol=1e-10)
 
 

@@ -42,6 +42,10 @@ class BlockSpec(Component):
         """The block that the search starts from, or that is held; None if it is for the method to find."""
         raise NotImplementedError
 
+    def fewest_numbers(self) -> int:
+        """How many numbers are to be found, at least."""
+        raise NotImplementedError
+
 
 @component("block", "linear", source="Ljung, System Identification, 2nd ed., (4.41)")
 class LinearBlock(BlockSpec):
@@ -81,6 +85,9 @@ class LinearBlock(BlockSpec):
     def structure(self) -> LinearStructure:
         return LinearStructure(self.nb, self.nf, self.nk)
 
+    def fewest_numbers(self) -> int:
+        return self.nb + self.nf
+
     def given(self) -> TransferFunction | None:
         if self.start is None:
             return None
@@ -108,6 +115,12 @@ class StaticSpec(BlockSpec):
 
     def structure(self) -> StaticKind:
         return self
+
+    def fewest_numbers(self) -> int:
+        # A basis may take its knots from a few levels.
+        x = np.array([0.0, 1.0])
+        basis = self.basis(x, 0.0, 1.0)
+        return len(basis.shape) + basis.size
 
     def is_fixed(self) -> bool:
         """Whether its range does not follow the signal."""

@@ -10,6 +10,7 @@ from hident.errors import EstimationError
 from hident.estimators.prediction_error.allocations import block
 from hident.estimators.prediction_error.criterion import Data, point_at
 from hident.estimators.prediction_error.structure import ChainStructure
+from hident.linear_blocks import TransferFunction
 from hident.static_functions import StaticFunction
 
 _SAMPLES = 4000
@@ -25,6 +26,9 @@ def require_excitation(structure: ChainStructure, data: Data) -> None:
     """
     few = data.first(_SAMPLES)
     noise = np.random.default_rng(0).standard_normal(len(few.u))
+    wanted = structure.made(few, _generic(structure), {}).count()
+    if wanted > data.count:
+        raise EstimationError(f"{wanted} numbers are to be found, and {data.count} samples count")
     got, possible = (_rank(structure, one) for one in (few, replace(few, u=noise)))
     if got < possible:
         levels = len(np.unique(few.u))
@@ -35,7 +39,8 @@ def require_excitation(structure: ChainStructure, data: Data) -> None:
         )
 
 
-def _rank(structure: ChainStructure, data: Data) -> int:
+def _generic(structure: ChainStructure) -> dict[int, TransferFunction]:
+    """Linear blocks with poles and zeros of no special kind, none of them twice."""
     linear = {}
     for i, orders in structure.linear.items():
         k = np.arange(orders.nf)
@@ -43,8 +48,12 @@ def _rank(structure: ChainStructure, data: Data) -> int:
         k = np.arange(orders.nb - 1)
         zeros = 0.7 * np.cos(np.pi * (k + 0.3 + 0.17 * i) / orders.nb)
         linear[i] = block(zeros.astype(complex), poles.astype(complex), orders.nk)
+    return linear
+
+
+def _rank(structure: ChainStructure, data: Data) -> int:
     try:
-        parameters = structure.made(data, linear, {})
+        parameters = structure.made(data, _generic(structure), {})
     except ValueError:
         return 0
     draws = np.random.default_rng(1)

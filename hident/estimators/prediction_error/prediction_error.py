@@ -12,7 +12,7 @@ from pydantic import Field, field_validator
 from hident.block_chain import Start
 from hident.config.spec import Count, NonEmpty, Of, Spec, component
 from hident.errors import EstimationError
-from hident.estimators.base import AtOneInterval, require_finite, require_varying
+from hident.estimators.base import AtOneInterval, require_finite, require_moderate, require_varying
 from hident.estimators.normalisation import Normalisation, unit_static_gain
 from hident.estimators.prediction_error.block_specs import BlockSpec, LinearBlock, StaticSpec
 from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain
@@ -22,6 +22,7 @@ from hident.estimators.prediction_error.structure import ChainStructure
 from hident.fitted_model import FittedModel, NoiseModel
 from hident.records import Estimate, Record
 
+_MOST_BLOCKS = 9
 _SUMMARY = ("mse", "iterations", "starts", "finalists", "agreeing")
 
 
@@ -54,7 +55,7 @@ class PredictionError(AtOneInterval):
     (0.5, 'N-L')
     """
 
-    blocks: NonEmpty[Annotated[BlockSpec, Of("block")]]
+    blocks: Annotated[NonEmpty[Annotated[BlockSpec, Of("block")]], Field(max_length=_MOST_BLOCKS)]
     """The blocks from the input to the output."""
     noise: NoiseOrders = NoiseOrders()
     """Orders of the noise model."""
@@ -87,7 +88,7 @@ class PredictionError(AtOneInterval):
         count = self.noise.ar + self.noise.ma
         for block in self.blocks:
             if not block.held:
-                count += block.nb + block.nf if isinstance(block, LinearBlock) else 2
+                count += block.fewest_numbers()
         return count
 
     def _places(self) -> dict[int, str]:
@@ -126,6 +127,8 @@ class PredictionError(AtOneInterval):
     def identify(self, record: Record) -> ChainFit:
         """The fit, with all that is known of the search."""
         require_finite(record.y)
+        require_moderate(record.u, "input")
+        require_moderate(record.y, "output")
         require_varying(record.u, "input")
         require_varying(record.y, "output")
         self.require_experiments(record)

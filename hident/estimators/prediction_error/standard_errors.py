@@ -13,6 +13,7 @@ from hident.estimators.prediction_error.criterion import FREE, Point
 from hident.estimators.prediction_error.gauge import normalised
 from hident.estimators.prediction_error.parameters import LinearStructure, Parameters
 from hident.numerics.parts import Parts, following, in_each
+from hident.static_functions import StaticFunction
 
 _STEP = 1e-6
 
@@ -132,11 +133,10 @@ def _derivative(point: Point) -> Array:
     own = [parameters.numbers(i) for i in parameters.free]
     sizes = np.cumsum([0, *(len(numbers) for numbers in own)])
     whole = np.concatenate(own)
+    steps = _STEP * np.concatenate([_scales(parameters, i) for i in parameters.free])
     found = np.empty((len(whole), len(whole)))
-    for k in range(len(whole)):
+    for k, step in enumerate(steps):
         sides = []
-        block = own[int(np.searchsorted(sizes, k, "right")) - 1]
-        step = _STEP * max(abs(whole[k]), float(np.max(np.abs(block))))
         for sign in (1.0, -1.0):
             moved = whole.copy()
             moved[k] += sign * step
@@ -148,3 +148,17 @@ def _derivative(point: Point) -> Array:
             sides.append(np.concatenate([values(form, i) for i in form.free]))
         found[:, k] = (sides[0] - sides[1]) / (2.0 * step)
     return found
+
+
+def _scales(parameters: Parameters, i: int) -> Array:
+    """By how much each number of block i must change to matter: each sort has a unit of its own."""
+    numbers, structure = np.abs(parameters.numbers(i)), parameters.structures[i]
+    if isinstance(structure, LinearStructure):
+        b, f = numbers[: structure.nb], numbers[structure.nb :]
+        return np.concatenate((np.full(len(b), np.max(b)), np.maximum(f, 1.0)))
+    shape = len(structure.basis.shape)
+    block = parameters.chain.blocks[i]
+    assert isinstance(block, StaticFunction)
+    low, high = block.range
+    largest = float(np.max(numbers[shape:])) or 1.0
+    return np.concatenate((np.full(shape, high - low), np.full(len(numbers) - shape, largest)))

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 _STENCIL = 6
+# Sampling intervals of a horizon: no memory holds more samples.
+_LONGEST = 1e12
 _SAMPLES_PER_HALF_WAVE = 4
 _LARGEST_KEPT = 400_000
 
@@ -109,6 +111,8 @@ class Horizons:
         ValueError
             If the sampling is too coarse for the horizon, or the record too short.
         """
+        if not eta / dt < _LONGEST:
+            raise ValueError(f"the horizon {eta:g} is longer than any record sampled every {dt:g}")
         length = round(eta / dt)
         if length < fewest_samples(order):
             raise ValueError(
