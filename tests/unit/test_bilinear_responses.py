@@ -1,4 +1,4 @@
-"""Estimates of Hammerstein systems with known basis functions simulate: they can be scored on their output."""
+"""Estimates of Hammerstein systems with known basis functions simulate, and are scored on their output."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from hident.arrays import Array, Characteristic
+from hident.arrays import Array, Characteristic, Index
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
 from hident.estimators.base import AtOneInterval, require_finite, require_varying
