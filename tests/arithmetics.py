@@ -41,6 +41,7 @@ CHECKED = (
     "chen_table3",
     "mzyk_table1_grid",
     "mzyk_variance",
+    "pem_against_two_stage",
     "wang_efficiency",
 )
 
