@@ -1,4 +1,4 @@
-"""docs/measurements.md: its commands run in their order, its code and configurations, and what it says is so."""
+"""docs/measurements.md: its commands run in their order, and its code; what it says of fields is so."""
 
 from __future__ import annotations
 
