@@ -205,9 +205,14 @@ def _plans(
     plugin: list[Path] | None,
     trial_timeout: float | None = None,
 ) -> list[Plan]:
+    """The plans of all configurations but those whose optional records are not here, which it names."""
     from hident.commands.plans import load_plans
 
-    plans = load_plans(configs, assignments, {"trials": trials, "seed": seed}, plugin or ())
+    def left_out(said: str) -> None:
+        print(f"left out: {said}", file=sys.stderr)
+
+    options = {"trials": trials, "seed": seed}
+    plans = load_plans(configs, assignments, options, plugin or (), left_out)
     return [plan.changed(trial_timeout=trial_timeout) for plan in plans]
 
 
@@ -433,9 +438,10 @@ def export(
 
     One row for each trial and metric.
     """
+    from hident.commands.plans import load_plans
     from hident.commands.showing import export
 
-    [plan] = _plans([config], assignments, trials, seed, plugin)
+    [plan] = load_plans([config], assignments, {"trials": trials, "seed": seed}, plugin or ())
     print(export(plan, store, file))
 
 

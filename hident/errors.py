@@ -29,6 +29,10 @@ class ConfigError(HidentError):
     """A configuration or an argument cannot be used."""
 
 
+class RecordAbsent(ConfigError):
+    """A configuration is sound, and the measured record that it may go without is not here."""
+
+
 class StoreError(HidentError):
     """The trials store or an output folder cannot be read or written."""
 

@@ -60,6 +60,13 @@ class RunFolder:
                 return trials
         return 0
 
+    def optional_files(self) -> tuple[str, ...]:
+        """The names of the files without which the configuration is left out, from its folder."""
+        match self.run():
+            case {"experiment": {"optional_files": [*names]}}:
+                return tuple(map(str, names))
+        return ()
+
     @property
     def sealed(self) -> bool:
         """Whether run.json says that a run wrote it, by a key or by hashes."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
@@ -12,7 +12,7 @@ from hident import plugins
 from hident.config.load import Document
 from hident.config.suggest import one_of
 from hident.engine.experiment import Plan, load
-from hident.errors import ConfigError
+from hident.errors import ConfigError, RecordAbsent
 
 
 def all_configs() -> list[Path]:
@@ -28,8 +28,13 @@ def load_plans(
     assignments: Sequence[str] | None = None,
     options: Mapping[str, int | None] = MappingProxyType({}),
     plugin_files: Iterable[Path] = (),
+    left_out: Callable[[str], None] | None = None,
 ) -> list[Plan]:
-    """All plans, or one error that holds what is wrong with all files."""
+    """All plans, or one error that holds what is wrong with all files.
+
+    A configuration whose optional record is not here is told to ``left_out`` and has no plan; without that
+    function it is an error.
+    """
     from hident.ledger.published import check_published
     from hident.reports.output import check
 
@@ -45,6 +50,11 @@ def load_plans(
                 check_published(plan)
                 check(plan)
             plans.append(plan)
+        except RecordAbsent as absent:
+            if left_out is None:
+                errors.append(str(absent))
+            else:
+                left_out(str(absent))
         except ConfigError as error:
             errors.append(str(error))
     if errors:

@@ -50,6 +50,8 @@ def print_comparison(ours: Path, reference: Path, rtol: float, *, complete: bool
         print(textwrap.indent(allowed, "  "))
     for difference in comparison.differences:
         print(difference)
+    for line in comparison.left_out:
+        print(f"left out: {line}")
     if comparison.absent:
         print(f"not run here: {one_of(comparison.absent)}")
     count = len(comparison.differences)

@@ -22,7 +22,7 @@ from hident.engine.comparable import incomparable
 from hident.engine.fingerprint import fingerprint, libraries
 from hident.engine.trial import Data, digest
 from hident.engine.written import Written
-from hident.errors import ConfigError
+from hident.errors import ConfigError, RecordAbsent
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec, Scored
 
@@ -91,6 +91,8 @@ class Expansion:
         self._parts: dict[tuple[Any, ...], Any] = {}
         self._complaints: list[Complaint] = []
         self._compared: list[_Compared] = []
+        self.absent = ""
+        """What is said of a measured record that is not here and may be absent."""
 
     def document(self, choice: Mapping[int, int]) -> Document:
         """The document with the chosen axes applied, each at its chosen label."""
@@ -226,6 +228,9 @@ class Expansion:
             except ValidationError as error:
                 self._parts[root, relevant] = None
                 self._complaints += document.complaints_of(problems_of(error, location))
+            except RecordAbsent as error:
+                self._parts[root, relevant] = None
+                self.absent = str(error)
             except ConfigError as error:
                 self._parts[root, relevant] = None
                 problems = [Problem(("record",), line) for line in str(error).splitlines()]
@@ -246,7 +251,7 @@ class _Compared:
 
 
 def _validated(root: tuple[str, ...], document: Document) -> Any:
-    """The component or the data; ConfigError if a measured record cannot be read."""
+    """The component or the data; RecordAbsent or ConfigError if a measured record cannot be read."""
     data = document.data
     match root:
         case ("estimators", name):

@@ -46,7 +46,7 @@ from hident.engine.every_value import with_every_value
 from hident.engine.expansion import Expansion, Unit
 from hident.engine.run_files import misnamed
 from hident.engine.written import NEEDED, Written
-from hident.errors import ConfigError
+from hident.errors import ConfigError, RecordAbsent
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
 
@@ -288,7 +288,8 @@ def load(
 ) -> Plan:
     """Read a configuration, apply ``--set`` assignments and options such as trials, expand its cases.
 
-    ConfigError with all that is wrong with the file, one line for each problem.
+    ConfigError with all that is wrong with the file, one line for each problem; RecordAbsent if nothing is,
+    and a record that is optional is not here.
     """
     document = source if isinstance(source, Document) else read_leniently(source)
     path, document = Path(document.name), override(document, assignments)
@@ -335,6 +336,8 @@ def load(
     complaints += document.complaints_of([*_missing_paper(plan), *_unrepeatable(plan)])
     if complaints:
         raise error_of(complaints)
+    if expansion.absent:
+        raise RecordAbsent(f"{path}: {expansion.absent}")
     return plan
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -13,8 +14,9 @@ from pydantic import Field
 
 from hident.arrays import Array
 from hident.config.spec import Count, Family, Flag, Spec, canonical
+from hident.config.suggest import one_of
 from hident.engine.trial import Data, Excitation, Job, System, digest, estimate
-from hident.errors import ConfigError, EstimationError
+from hident.errors import ConfigError, EstimationError, RecordAbsent
 from hident.estimators.base import EstimatorSpec, require_finite
 from hident.measurements.measured_record import MeasuredRecord
 from hident.numerics.parts import in_each
@@ -23,6 +25,8 @@ from hident.signals.base import ExcitationSpec, Stretch
 from hident.systems.base import SystemSpec
 
 _FILE = "file"
+# What is said of a file and not of what is in it.
+_OF_THE_FILE = ("optional", "source")
 # Digits of a hash that a reader compares.
 _SHORT = 12
 _MOST_HELD = 4
@@ -44,6 +48,19 @@ class RecordSection(MeasuredRecord):
 
     bootstrap: BlockBootstrap | None = None
     """How the trials after trial 0, which is the record itself, are resampled."""
+    optional: Flag = False
+    """Whether the configuration is left out, with a line that says so, where a file is not there."""
+    source: str = ""
+    """Where the files come from, for who does not have them."""
+
+    def require_present(self, folder: Path) -> None:
+        """Raise RecordAbsent if it is optional and a file is not there."""
+        absent = [folder / name for name in self.files() if not (folder / name).exists()]
+        if self.optional and absent:
+            where = one_of(os.path.normpath(path) for path in absent)
+            raise RecordAbsent(
+                f"its record is not here: there is no {where}" + (f" ({self.source})" if self.source else "")
+            )
 
 
 class Unknown(SystemSpec):
@@ -93,9 +110,11 @@ class Measurement(Data):
     def of(cls, section: RecordSection, folder: Path) -> Measurement:
         """The data that a section of a configuration in a folder means.
 
-        ConfigError if the file cannot be read, or the record is too short for the blocks of its bootstrap.
+        RecordAbsent if a file of an optional record is not there; ConfigError if one cannot be read, or the
+        record is too short for the blocks of its bootstrap.
         """
         folder = folder.resolve()
+        section.require_present(folder)
         sha256 = section.digest(folder)
         record = section.read(folder)
         experiments = tuple((name, len(part), part.dt) for name, part in record.parts.items())
@@ -122,8 +141,8 @@ class Measurement(Data):
     @cached_property
     def key(self) -> int:
         """Hash of what the file holds, of how it is read, and of the names of its experiments."""
-        section = canonical(self.record)
-        of = {"record": _numbered(section, _files(section)), "sha256": self.sha256}
+        section = {name: value for name, value in canonical(self.record).items() if name not in _OF_THE_FILE}
+        of = {"record": _numbered(section, self.record.files()), "sha256": self.sha256}
         return int(digest({**of, "experiments": canonical(self.excitation)}), 16)
 
     @property
@@ -133,6 +152,10 @@ class Measurement(Data):
     @property
     def validated(self) -> bool:
         return self.with_validation
+
+    @property
+    def optional_files(self) -> tuple[str, ...]:
+        return self.record.files() if self.record.optional else ()
 
     def require(self) -> None:
         self._read()
@@ -178,7 +201,7 @@ class Measurement(Data):
         return ""
 
     def says(self) -> str:
-        named = " and ".join(_files(canonical(self.record)))
+        named = " and ".join(self.record.files())
         step = "" if self.dt is None else f", dt {self.dt:.10g}"
         return f"Measured record {named}: {self.samples} samples{step}, SHA-256 {self.sha256[:_SHORT]}."
 
@@ -239,11 +262,3 @@ def _numbered(value: Any, names: Sequence[str]) -> Any:
             for key, item in value.items()
         }
     return [_numbered(item, names) for item in value] if isinstance(value, list) else value
-
-
-def _files(value: Any) -> list[str]:
-    """The names of the files in a section as plain data, each once."""
-    if not isinstance(value, Mapping):
-        return []
-    inner = [name for item in value.values() for name in _files(item)]
-    return [*dict.fromkeys([*value.get(_FILE, ()), *inner])]

@@ -101,6 +101,11 @@ class Data(Spec):
         """Whether the records have a validation part."""
         return False
 
+    @property
+    def optional_files(self) -> tuple[str, ...]:
+        """The names of the files without which a configuration is left out, not wrong."""
+        return ()
+
     def require(self) -> None:
         """Raise ConfigError if this process cannot have the records."""
 

@@ -62,7 +62,7 @@ class Written(Spec):
     def data(self, folder: Path) -> Data:
         """The data that are meant; the names of files are meant from the folder.
 
-        ConfigError if a measured record cannot be read.
+        RecordAbsent if an optional record is not here; ConfigError if a record cannot be read.
         """
         if self.record is not None:
             return Measurement.of(self.record, folder)

@@ -18,6 +18,7 @@ from collections.abc import Iterator, Set
 from dataclasses import dataclass
 from pathlib import Path
 
+from hident.config.suggest import one_of
 from hident.engine.results import STATISTICS
 from hident.engine.run_files import BENCHMARKS, RUN, SENSITIVITY, TABLE, TRIALS
 from hident.errors import ConfigError, NothingToCompare, StoreError
@@ -39,13 +40,15 @@ class Comparison:
 
     ``differences`` has one readable text each, ``allowed`` what differs and may: units some trials of which
     took another branch, and the files that follow. ``compared`` is the number of result folders that both
-    sides have, ``absent`` names the configurations that only the reference has.
+    sides have, ``absent`` names the configurations that only the reference has; those among them whose
+    optional records are not here stand in ``left_out`` instead, in words.
     """
 
     differences: tuple[str, ...]
     compared: int
     absent: tuple[str, ...]
     allowed: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
 
 
 _Said = tuple[str, bool]
@@ -65,7 +68,8 @@ def compare(
         Relative tolerance of numbers; 0 asks for every bit. Below that of the stored sensitivity, none may
         differ between different arithmetics either.
     complete : bool
-        Whether a configuration that only the reference has is a difference.
+        Whether a configuration that only the reference has is a difference, unless its record is optional
+        and not here.
     partial : bool
         Whether runs of different numbers of trials are compared on the trials that both have; then nothing
         is said of the files that show statistics.
@@ -102,11 +106,14 @@ def _compare(
     units = sum(len(pair.trials.units) for pair in pairs.values() if pair.trials)
     found: list[_Said] = []
     absent = []
+    left_out = []
     for name in sorted(names):
         if name in pairs:
             found += pairs[name].judged(CHANCE / max(units, 1))
         elif not _files(reference / name):
             found.append((f"{name}: not accepted yet; hident accept {name}", True))
+        elif lacking := _lacking(reference / name):
+            left_out.append(f"{name}: {lacking}")
         else:
             absent.append(name)
             if complete:
@@ -115,7 +122,17 @@ def _compare(
         others = {name for name in _files(ours) | _files(reference) if name.partition("/")[0] not in names}
         found += [(line, True) for line in _lines(ours, reference, others, rtol)]
     differences, allowed = (tuple(line for line, counts in found if counts is of) for of in (True, False))
-    return Comparison(differences, len(pairs), tuple(absent), allowed)
+    return Comparison(differences, len(pairs), tuple(absent), allowed, tuple(left_out))
+
+
+def _lacking(accepted: Path) -> str:
+    """What is said of accepted results that cannot be had here; empty if they can.
+
+    An optional record is looked for from the folder configs/ beside that of the results.
+    """
+    folder = accepted.resolve().parent.parent / "configs"
+    absent = [name for name in RunFolder(accepted).optional_files() if not (folder / name).exists()]
+    return f"its record is not here ({one_of(absent)})" if absent else ""
 
 
 def _results(folder: Path, remedy: str) -> set[str]:

@@ -12,7 +12,16 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, WithJsonSchema, field_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    GetJsonSchemaHandler,
+    ValidationInfo,
+    WithJsonSchema,
+    field_validator,
+)
+from pydantic_core import CoreSchema
 
 from hident.arrays import Array
 from hident.config.spec import Count, Real, Spec
@@ -109,6 +118,16 @@ class Selection(Spec):
     """A range of the samples of each experiment, such as 801..1000, counted from 1."""
 
 
+class _Shorthands:
+    """Tells the JSON Schema what :func:`_selection` takes in the place of a mapping."""
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        columns = {"type": "array", "items": _COLUMN, "minItems": 2, "maxItems": 2}
+        return {"anyOf": [handler(schema), {"type": "string", "minLength": 1}, columns]}
+
+
 class Units(Spec):
     """The units of the signals and of time, as figures and models show them."""
 
@@ -156,7 +175,7 @@ class MeasuredRecord(Spec):
     """The column of the sampling times, in place of dt; they must be even unless resample is given."""
     estimation: Range | None = None
     """The samples to estimate from, such as 1..800, in each experiment, counted from 1; all by default."""
-    validation: Annotated[Selection, BeforeValidator(_selection)] | None = None
+    validation: Annotated[Selection, BeforeValidator(_selection), _Shorthands()] | None = None
     """What to validate on: a range such as 801..1000, two columns 'uVal,yVal', a file, or a mapping."""
     detrend: Trend | None = None
     """mean: takes the means of the estimation samples off all; linear: off each experiment its line."""
@@ -256,6 +275,11 @@ class MeasuredRecord(Spec):
             )
         return replace(record, validation=validation)
 
+    def files(self) -> tuple[str, ...]:
+        """The names of all files that it reads, each once."""
+        others = self.validation.file if self.validation and self.validation.file else ()
+        return tuple(dict.fromkeys((*self.file, *others)))
+
     def digest(self, folder: Path) -> str:
         """SHA-256 of the file's bytes, hexadecimal; of several files, that of their digests in a row.
 
@@ -264,9 +288,8 @@ class MeasuredRecord(Spec):
         ConfigError
             If a file cannot be read.
         """
-        others = self.validation.file if self.validation and self.validation.file else ()
         digests = []
-        for name in dict.fromkeys((*self.file, *others)):
+        for name in self.files():
             path = folder / name
             try:
                 with path.open("rb") as file:

@@ -227,12 +227,14 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
 def _described(plan: Plan) -> dict[str, Any]:
     """The experiment in run.json."""
     resolved, records = canonical(plan.experiment), _records(plan)
+    optional = [*dict.fromkeys(name for unit in plan.units for name in unit.data.optional_files)]
     return {
         "config": plan.name,
         "hash": digest(resolved),
         "seed": plan.seed,
         "trials": plan.trials,
         **({"records": records} if records else {}),
+        **({"optional_files": optional} if optional else {}),
         "resolved": resolved,
     }
 

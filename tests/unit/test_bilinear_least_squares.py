@@ -197,4 +197,4 @@ def test_estimate_holds_what_it_says():
         estimator = spec(weight=weight)
         found = estimator.fit(record_of(x, y), RNG)
         values = {f"value {name}" for name in found.values}
-        assert estimator.provides() == {"linear", "nonlinearity"} | values
+        assert estimator.provides() == {"linear", "nonlinearity", "response"} | values

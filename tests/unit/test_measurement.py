@@ -149,6 +149,33 @@ def test_a_mapping_names_a_file_of_the_current_folder(folder: Path, monkeypatch:
         assert found == expected
 
 
+def test_models_are_judged_on_the_validation_part(folder: Path) -> None:
+    text = """\
+version: 1
+title: A tank, judged by what was kept apart
+record: {file: tank.csv, input: u, output: y, dt: 4, estimation: 1..30, validation: 31..60}
+trials: 1
+estimators: {level: level}
+metrics: {rmse: {kind: rmse, on: validation}}
+tables:
+  one:
+    kind: distribution
+    title: One trial
+    columns: {RMSE: rmse}
+    rows: [{label: level, estimator: level, metric: "", metrics: {RMSE: rmse}}]
+figures:
+  residuals: {kind: residuals, curve: {estimator: level}, on: validation}
+"""
+    plan = planned(folder, text)
+    outputs = Outputs(plan, folder / "out")
+    assert outputs.write(run(plan), {}) == ()
+    assert (folder / "out/residuals.png").exists()
+    record = hi.read(folder / "tank.csv", input="u", output="y", dt=4)
+    rmse = float(np.sqrt(np.mean((record.y[30:] - np.mean(record.y[:30])) ** 2)))
+    assert f"| level | {rmse:.3g} |" in (folder / "out/table.md").read_text(encoding="utf-8")
+    assert "median" not in (folder / "out/table.md").read_text(encoding="utf-8")
+
+
 def test_tables_name_the_record(folder: Path) -> None:
     plan = planned(folder, CONFIG)
     Outputs(plan, folder / "out").write(run(plan), {})

@@ -110,7 +110,9 @@ def test_estimate_holds_what_it_says():
     x, y = simulated(5, TWO, noise=0.3)
     x.flags.writeable = y.flags.writeable = False
     found = spec(TWO).fit(Record(x, y), RNG)
-    assert spec(TWO).provides() == {"linear", "nonlinearity"} | {f"value {name}" for name in found.values}
+    assert spec(TWO).provides() == {"linear", "nonlinearity", "response"} | {
+        f"value {name}" for name in found.values
+    }
 
 
 def test_shortest_record():

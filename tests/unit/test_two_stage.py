@@ -275,7 +275,7 @@ def test_estimate_holds_what_it_says():
         estimator = spec(weight=weight)
         found = estimator.fit(record, RNG)
         values = {f"value {name}" for name in found.values}
-        assert estimator.provides() == {"linear", "nonlinearity"} | values
+        assert estimator.provides() == {"linear", "nonlinearity", "response"} | values
         assert all(type(value) is float for value in found.values.values())
 
 
@@ -442,6 +442,6 @@ def test_known_nonlinearity():
         estimator = KnownNonlinearity.model_validate({**fields, "weight": weight})
         found = estimator.fit(simulated(27, noise=1.0), RNG)
         values = {f"value {name}" for name in found.values}
-        assert estimator.provides() == {"linear", "nonlinearity"} | values
+        assert estimator.provides() == {"linear", "nonlinearity", "response"} | values
         error = found.values["b_1"] - 0.5 * B[0]
         assert 0.0 < abs(error) < 4.0 * found.values["se_b_1"]

@@ -8,12 +8,12 @@ from pydantic import ValidationError
 
 from hident.errors import EstimationError
 from hident.estimators.convergence import History
+from hident.estimators.discrete_response import at_step
 from hident.estimators.voros.voros_hammerstein import (
     Rule,
     Structure,
     TwoSegmentPolynomial,
     VorosHammerstein,
-    at_step,
     iterate,
     voros_hammerstein,
 )

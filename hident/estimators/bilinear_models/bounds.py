@@ -77,7 +77,7 @@ class KnownNonlinearity(WeightedSpec):
     [0.6, -0.8]
     """
 
-    holds = ("nonlinearity", "linear")
+    holds = ("nonlinearity", "linear", "response")
 
     nonlinearity: Annotated[NonlinearitySpec, Of("nonlinearity")]
     """The known nonlinearity, with its scale: b is not normalised."""
@@ -98,8 +98,9 @@ class KnownNonlinearity(WeightedSpec):
         white = weighted.white
         errors = np.sqrt(white.variance(y, white.theta(y))) * np.linalg.norm(white.g, axis=1)
         b = theta[:, 0]
-        return Estimate(
+        estimate = Estimate(
             nonlinearity=self.nonlinearity,
             linear=self.linear(b),
             values=self.named(b, errors, weighted.order),
         )
+        return self.responding(estimate, record.dt)

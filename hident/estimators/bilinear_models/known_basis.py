@@ -5,7 +5,7 @@ Symbols are in :mod:`hident.estimators.bilinear_models.bilinear`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Self
 
@@ -17,11 +17,12 @@ from hident.config.spec import Count, Of
 from hident.errors import EstimationError
 from hident.estimators.base import AtOneInterval, require_finite, require_varying
 from hident.estimators.bilinear_models.bilinear import Regression, normalised, regressors
+from hident.estimators.discrete_response import at_step
 from hident.estimators.normalisation import Normalisation, unit_length
 from hident.linear_blocks import TransferFunction
 from hident.numerics.least_squares import Factorisation
 from hident.numerics.parts import Parts, following, in_each, longer_than
-from hident.records import Record
+from hident.records import Estimate, Record
 from hident.systems.base import NonlinearitySpec
 from hident.systems.nonlinearity import Power
 
@@ -133,6 +134,14 @@ class LaggedSpec(AtOneInterval):
     def linear(self, b: Array) -> TransferFunction:
         """The linear block with the coefficients ``b`` (n,)."""
         return TransferFunction(b=(0.0,) * self.delay + tuple(b.tolist()))
+
+    def responding(self, estimate: Estimate, dt: float | None) -> Estimate:
+        """The estimate with the response of its two blocks, from rest."""
+        nonlinearity, linear = estimate.nonlinearity, estimate.linear
+        assert nonlinearity is not None
+        assert linear is not None
+        response = at_step(lambda u: linear.filter(nonlinearity(u)), 1.0 if dt is None else dt)
+        return replace(estimate, response=response)
 
 
 class BilinearSpec(LaggedSpec):

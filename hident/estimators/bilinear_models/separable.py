@@ -262,7 +262,7 @@ class SeparableLeastSquares(BilinearSpec):
     [0.5, 0.6, -0.8]
     """
 
-    holds = ("nonlinearity", "linear")
+    holds = ("nonlinearity", "linear", "response")
 
     feedback: Annotated[Count, Field(ge=1)]
     """Order p of the feedback a_1, ..., a_p."""
@@ -286,11 +286,12 @@ class SeparableLeastSquares(BilinearSpec):
         Regression.of(phi, n, delay=self.delay)
         found, iterations = separable_least_squares(phi, y, n, p, parts=parts)
         parameters = found.f, found.b, found.a
-        return Estimate(
+        estimate = Estimate(
             nonlinearity=self.nonlinearity(found.a),
             linear=TransferFunction(b=self.linear(found.b).b, a=tuple(found.f.tolist())),
             values=self.named(*parameters, self._standard_errors(found), found.loss, iterations),
         )
+        return self.responding(estimate, record.dt)
 
     def _standard_errors(self, found: Inner) -> Array:
         """Those of f, b and a under white noise, shape (p + n + m,)."""

@@ -198,7 +198,7 @@ class WeightedSpec(LaggedSpec):
 class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
     """Base of the weighted estimators of a Hammerstein system with known basis functions."""
 
-    holds = ("nonlinearity", "linear")
+    holds = ("nonlinearity", "linear", "response")
 
     def names(self) -> list[str]:
         return [*with_errors(self.parameters()), "loss", *self.noise_names()]
@@ -219,7 +219,8 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
             return [found for record in records for found in self.fit_many([record])]
         y = np.stack([self.outputs(record) for record in records])
         phi, parts = self.design(first)
-        return self.solved(self.weighted(phi, y[0], parts), y, first)
+        found = self.solved(self.weighted(phi, y[0], parts), y, first)
+        return [self.responding(one, first.dt) if isinstance(one, Estimate) else one for one in found]
 
     def solved(self, weighted: Weighted, y: Array, record: Record) -> list[Estimate | EstimationError]:
         """The estimates from the outputs ``y`` (T, rows) of T trials with the input of ``record``."""

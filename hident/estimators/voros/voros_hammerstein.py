@@ -27,12 +27,13 @@ from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
 from hident.estimators.base import AtOneInterval, require_finite, require_varying
 from hident.estimators.convergence import History, Unconverged, settle
+from hident.estimators.discrete_response import at_step
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.linear_blocks import TransferFunction
 from hident.numerics.least_squares import Factorisation
 from hident.numerics.parts import Parts, in_each, joined, longer_than, whole
 from hident.numerics.whole import nearest_whole
-from hident.records import Estimate, Record, Response
+from hident.records import Estimate, Record
 
 _DIVERGED = 1e6
 """Growth of the internal variable, relative to the first iteration's, that counts as divergence."""
@@ -269,27 +270,6 @@ class VorosSpec(AtOneInterval):
             values=self.named(found.theta[-1], found.count, found.converged),
             details={"history": History(a, b, dict(segments), found.converged)},
         )
-
-
-def at_step(simulate: Characteristic, step: float) -> Response:
-    """A discrete model as a response for inputs sampled every ``dt``.
-
-    Where ``dt`` is a multiple of ``step``, the input is held. Where ``step`` is a multiple of ``dt``, the
-    input is decimated and the output interpolated by straight lines. The response raises ValueError for
-    any other ``dt``.
-    """
-
-    def response(u: Array, dt: float) -> Array:
-        if finer := nearest_whole(dt / step):
-            return simulate(np.repeat(u, finer))[::finer]
-        if coarser := nearest_whole(step / dt):
-            at: Index = np.arange(0, len(u), coarser)
-            return np.interp(np.arange(len(u)), at, simulate(u[at]))
-        raise ValueError(
-            f"the sampling interval {dt:g} and the model's step {step:g} do not divide each other"
-        )
-
-    return response
 
 
 def voros_hammerstein(

@@ -54,7 +54,7 @@ class ResidualFigure(OnOutput, OneTrialFigure):
         data = unit.data
         lengths = [stretch.samples for stretch in data.excitation.stretches(data.samples, data.dt or 1.0)]
         try:
-            self.check_lengths(lengths, validated=False)
+            self.check_lengths(lengths, validated=data.validated)
         except ValueError as error:
             yield ("on" if self.on == "validation" else "n_init",), str(error)
 

@@ -130,7 +130,8 @@ class Distribution(TableSpec):
             if any(cell.verdict for cell in own.values()):
                 rows.append(("printed", *(_printed(own.get(heading)) for heading in self.columns)))
             failed += [f"{row.label}: {said}" for said in _failures([*own.values()])]
-        explained = (_OURS, _PERCENTILE, *legend(verdicts)) if verdicts else (_OURS,)
+        ours = () if results.plan.trials == 1 else (_OURS,)
+        explained = (*ours, _PERCENTILE, *legend(verdicts)) if verdicts else ours
         header = (self.row_header, *self.columns)
         return Table(self.title, header, tuple(rows), (*explained, *failed), _data(results, cells))
 
@@ -145,7 +146,8 @@ class Distribution(TableSpec):
         median, low, high = (
             written(cell.series.statistics[name], self.digits) for name in ("median", "q05", "q95")
         )
-        return f"{median} [{low}, {high}]"
+        # A single trial has no spread.
+        return median if len(cell.series.values) == 1 else f"{median} [{low}, {high}]"
 
 
 def _printed(cell: _Cell | None) -> str:
