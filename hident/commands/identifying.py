@@ -189,12 +189,12 @@ def _said(found: Identification, record: Record) -> Iterator[str]:
         f"{len(found.trials)} chains tried, {shown} fitted; chosen by the simulation of {found.parts.said}, "
         f"without the first {found.parts.everything.n_init} samples of what is fitted"
     )
-    reasons: dict[str, int] = {}
+    reasons: dict[str, list[str]] = {}
     for one in found.trials:
         if one.reason:
-            reasons[f"{one.structure}: {one.reason}"] = reasons.get(f"{one.structure}: {one.reason}", 0) + 1
-    for reason, count in reasons.items():
-        yield f"not fitted ({count}): {reason}"
+            reasons.setdefault(one.structure, []).append(one.reason)
+    for structure, said in reasons.items():
+        yield f"not fitted: {len(said)} of {structure}, such as: {said[0]}"
     if found.model_fit.finalists > 1 and found.model_fit.agreeing == 1:
         yield "warning: only one of the starts came to this optimum: there may be a better one"
     fit = 100.0 * (1.0 - found.chosen.rms / (float(np.std(found.parts.output)) or 1.0))

@@ -33,7 +33,7 @@ _KEPT_APART = 0.2
 _MOST_INITIAL, _INITIAL_SHARE = 250, 20
 _BATCHES, _FEWEST = 20, 20
 # Short fits of higher orders that gain less than this have gained nothing.
-_CLOSE = 1.1
+_CLOSE = 1.03
 _MOST_LINEAR, _MORE_LINEAR, _MANY = 4, 8, 5000
 
 
@@ -202,11 +202,26 @@ def identify(
     >>> found.chosen.structure, round(found.estimate(record).linear.a[0], 2)
     ('hammerstein', 0.7)
     """
+    import scipy.linalg  # noqa: F401  (its BLAS must be loaded to be held)
+    from threadpoolctl import threadpool_limits
+
     require_finite(record.y)
     require_moderate(record.u, "input")
     require_moderate(record.y, "output")
     require_varying(record.u, "input")
     require_varying(record.y, "output")
+    # On matrices of a few rows, BLAS's threads take several times the processor time of one.
+    with threadpool_limits(1):
+        return _identified(record, structures, n_init, start, tell)
+
+
+def _identified(
+    record: Record,
+    structures: Sequence[str],
+    n_init: int | None,
+    start: Start,
+    tell: Callable[[Trial], None],
+) -> Identification:
     parts = split(record, n_init, start)
     if parts.estimation.count < _FEWEST or len(parts.output) < _FEWEST:
         raise EstimationError(

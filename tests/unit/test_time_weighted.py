@@ -284,7 +284,7 @@ class TestHorizons:
             horizons(dt=0.5, eta=4)
 
     def test_a_horizon_beyond_all_records_is_told(self):
-        with pytest.raises(ValueError, match="is longer than any record sampled every 0.5"):
+        with pytest.raises(ValueError, match=r"is longer than any record sampled every 0\.5"):
             horizons(dt=0.5, eta=1e308)
 
     def test_too_long_a_horizon_is_told(self):
