@@ -27,5 +27,6 @@ def test_a_noise_free_record_is_simulated_exactly(estimator, feedback) -> None:
     u = np.random.default_rng(5).uniform(-2, 2, 400)
     record = hi.Record(u, linear.filter(cubic(u)), 0.5)
     estimate = hi.fit(estimator, record)
+    assert estimate.response is not None
     np.testing.assert_allclose(estimate.response(u, 0.5), record.y, rtol=0, atol=1e-9)
     assert hi.score(estimate, record, fit=hi.FitIndex())["fit"] == pytest.approx(100, abs=1e-6)

@@ -133,7 +133,6 @@ REFUSED = [
         "nameless.json does not say which column its input is: name it by --input",
     ),
     ("simulate unstable.json long.csv --input u", "output to this input is not finite from sample"),
-    ("show tank.csv", "tank.csv: the name must end in .json, as those of fitted models do"),
     ("show tank.json --out tank.csv", "tank.csv cannot be made: file exists"),
     (
         "convert tank.json --to mathlab",
