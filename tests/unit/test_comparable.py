@@ -86,7 +86,8 @@ def test_another_split_of_the_gain_is_refused_with_the_remedy(refusals):
         "(nonlinearity), and no data determine the factor between the blocks: estimator 'two-stage' "
         "(two_stage) fixes it by the rule '|b| = 1, b_1 > 0', and the system has 2.236 in place of 1. "
         "Divide b of the linear block by 2.236067977 and multiply the nonlinearity by it, which is the "
-        "same system, or limit the metric to other estimators by 'estimators:' under it"
+        "same system, score what does not depend on it (validation_error), or limit the metric to other "
+        "estimators by 'estimators:' under it"
     )
     assert (
         "estimator 'kernel' (kernel) fixes it by the rule 'gamma_0 = 1, a constant left in'; the system has "
@@ -103,8 +104,8 @@ def test_no_remedy_is_given_that_another_estimators_rule_forbids(refusals):
     first, second = refusals(two)
     assert first.endswith(
         "by the rule '|b| = 1, b_1 > 0', and the system has 2.236 in place of 1. The same system with that "
-        "factor moved would not keep the rule of estimator 'Voros', 'b_1 = 1': limit the metric to other "
-        "estimators by 'estimators:' under it"
+        "factor moved would not keep the rule of estimator 'Voros', 'b_1 = 1': score what does not depend on "
+        "it (validation_error), or limit the metric to other estimators by 'estimators:' under it"
     )
     assert "the rule of estimator 'two-stage', '|b| = 1, b_1 > 0'" in second
     # One factor may do for two rules.
