@@ -348,7 +348,7 @@ class TestInvariance:
 class TestStandardErrors:
     """The share of 95 % intervals that hold the truth, within three standard deviations of its own."""
 
-    TRIALS = 200
+    TRIALS = 100
 
     def share(self, spec, seed):
         truth = StaticFunction(Chebyshev(2, -4.0, 4.0), (4.0, 4.0, 4.0))
