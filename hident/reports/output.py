@@ -6,6 +6,7 @@ import hashlib
 import platform
 import subprocess
 import sys
+import warnings
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cached_property
@@ -209,7 +210,9 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
     undrawn: dict[str, Exception] = {}
     for name, spec in results.plan.experiment.figures.items():
         assert isinstance(spec, FigureSpec)
-        with style():
+        # Of values without a logarithm matplotlib says that there is nothing to draw, which the figure shows.
+        with style(), warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
             try:
                 figure = spec.draw(results, verdicts)
                 typeset(figure)
