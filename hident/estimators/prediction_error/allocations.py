@@ -8,7 +8,7 @@ Wiener-Hammerstein systems). Which block a pole or a zero belongs to it does not
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import product
+from itertools import islice, product
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from hident.estimators.prediction_error.linear_start import from_roots
 from hident.linear_blocks import TransferFunction
 
 _REAL = 1e-9
+_COUNTED = 4096
 
 
 def groups(roots: Complex) -> list[Complex]:
@@ -30,8 +31,15 @@ def groups(roots: Complex) -> list[Complex]:
     return found
 
 
-def splits(roots: Complex, places: int) -> Iterator[tuple[Complex, ...]]:
-    """All ways to give the roots to so many blocks."""
+def splits(roots: Complex, places: int, most: int) -> list[tuple[Complex, ...]]:
+    """Ways to give the roots to so many blocks: all of them, or ``most`` that are spread over all."""
+    found = list(islice(_all_splits(roots, places), _COUNTED))
+    if len(found) <= most:
+        return found
+    return [found[round(k * (len(found) - 1) / (most - 1))] for k in range(most)]
+
+
+def _all_splits(roots: Complex, places: int) -> Iterator[tuple[Complex, ...]]:
     none = np.zeros(0, complex)
     together = groups(roots)
     for choice in product(range(places), repeat=len(together)):
@@ -42,7 +50,7 @@ def splits(roots: Complex, places: int) -> Iterator[tuple[Complex, ...]]:
 
 
 def block(zeros: Complex, poles: Complex, delay: int) -> TransferFunction:
-    """The block with these roots, b_nk = 1, and its impulse response of length one where that can be had."""
+    """The block with these roots, whose first coefficient behind the delay is 1."""
     b, f = from_roots(zeros), from_roots(poles)
     return TransferFunction((*(0.0,) * delay, *b.tolist()), tuple((-f[1:]).tolist()))
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
 
-from hident.block_chain import Start
 from hident.config.spec import Count, NonEmpty, Of, Spec, component
 from hident.errors import EstimationError
 from hident.estimators.base import AtOneInterval, require_finite, require_moderate, require_varying
@@ -170,11 +170,11 @@ class PredictionError(AtOneInterval):
         summary = (mse, fit.iterations, fit.starts, fit.finalists, fit.agreeing)
         numbers |= dict(zip(_SUMMARY, map(float, summary), strict=True))
         model = FittedModel(
-            chain=_at(form.chain, record.dt),
+            chain=replace(form.chain, dt=record.dt),
             start=self.start,
             noise=NoiseModel(point.noise.ar, point.noise.ma, mse),
             errors=errors,
-            about=_about(fit, self),
+            about=_about(fit),
         )
         chain = model.chain
 
@@ -191,17 +191,9 @@ class PredictionError(AtOneInterval):
         )
 
 
-def _at(chain: Any, dt: float | None) -> Any:
-    from dataclasses import replace
-
-    return replace(chain, dt=dt)
-
-
-def _about(fit: ChainFit, spec: PredictionError) -> Mapping[str, Any]:
-    start: Start = spec.start
+def _about(fit: ChainFit) -> Mapping[str, Any]:
     return {
         "method": "prediction_error",
-        "start": start,
         "status": fit.status,
         "iterations": fit.iterations,
         "starts": fit.starts,

@@ -36,7 +36,8 @@ from hident.linear_blocks import TransferFunction
 _APPROXIMATED, _SCORED = 20000, 4000
 # A longer approximation has more splits than can be tried.
 _MOST_ROOTS = 6
-_MOST_SPLITS = 4096
+# Between two blocks, all splits of six roots; between more, some of them.
+_MOST_SPLITS, _MOST_OF_MANY = 64, 16
 _KERNEL_LAGS, _KERNEL_SAMPLES = 20, 10000
 
 
@@ -90,10 +91,11 @@ def _best_splits(
     few: Data,
 ) -> Iterator[Point]:
     places = list(structure.linear)
-    zero_splits = list(splits(_zeros(model, sum(delays)), len(places)))
-    for poles in splits(model.poles(), len(places)):
+    most = _MOST_SPLITS if len(places) < 3 else _MOST_OF_MANY
+    zero_splits = splits(_zeros(model, sum(delays)), len(places), most)
+    for poles in splits(model.poles(), len(places), _MOST_SPLITS):
         best: Point | None = None
-        for zeros in zero_splits[:_MOST_SPLITS]:
+        for zeros in zero_splits:
             if not fits(zeros, poles, sizes):
                 continue
             linear = {

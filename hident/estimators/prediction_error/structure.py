@@ -139,31 +139,18 @@ class ChainStructure:
         return Parameters.of(structures, BlockChain(tuple(blocks)), tuple(self.held))
 
     def ranged(self, data: Data, parameters: Parameters) -> Parameters:
-        """The parameters with the ranges of static blocks to be found as the signals now are."""
-        linear = {
-            i: block for i, block in enumerate(parameters.chain.blocks) if isinstance(block, TransferFunction)
-        }
-        functions = {i: parameters.chain.blocks[i] for i in self.static}
-        given = {i: block for i, block in self.given.items() if i in self.held}
-        fresh = replace(self, given=given)
-        # Scaled blocks would meet functions of what was there before.
-        return fresh._as_they_are(data, linear, functions)
-
-    def _as_they_are(
-        self, data: Data, linear: Mapping[int, TransferFunction], functions: Mapping[int, Block]
-    ) -> Parameters:
+        """The parameters, with ranges of static blocks that follow the signals as these now are."""
         blocks: list[Block] = []
         structures: list[Structure] = []
         x = data.u
-        for i, block in enumerate(self.blocks):
-            if isinstance(block, LinearStructure):
-                structures.append(block)
-                blocks.append(linear[i])
+        for i, (kind, block) in enumerate(zip(self.blocks, parameters.chain.blocks, strict=True)):
+            if isinstance(kind, LinearStructure):
+                structures.append(kind)
+                blocks.append(block)
             else:
-                function = functions[i]
-                assert isinstance(function, StaticFunction)
-                if i not in self.held and not function.basis.shape and not block.is_fixed():
-                    function = fitted(block, x, function, data)
+                assert isinstance(block, StaticFunction)
+                follows = i not in self.held and not block.basis.shape and not kind.is_fixed()
+                function = fitted(kind, x, block, data) if follows else block
                 structures.append(StaticStructure(function.basis))
                 blocks.append(function)
             x = data.through(blocks[-1], x)
