@@ -31,7 +31,7 @@ _LINEAR_STARTS, _HIGHEST = 2, 10
 _KEPT_APART = 0.2
 # First samples that are not fitted: at most this many, and this share of an experiment.
 _MOST_INITIAL, _INITIAL_SHARE = 250, 20
-_BATCHES, _FEWEST = 20, 20
+_BATCHES, _FEWEST, _WHOLE = 20, 20, 2
 # Short fits of higher orders that gain less than this have gained nothing.
 _CLOSE = 1.03
 _MOST_LINEAR, _MORE_LINEAR, _MANY = 4, 8, 5000
@@ -264,10 +264,15 @@ def _identified(
         chosen = smaller
     assert chosen.fit is not None
     if len(short.u) < len(parts.estimation.u):
-        fit = continued(chosen.spec.structure(), chosen.fit.point.parameters.chain, parts.estimation)
-        fit = _counted_as(fit, chosen.fit)
-        chosen = tried(_judged(chosen.structure, chosen.spec, fit, parts))
-        wanted = [*wanted, chosen]
+        # A part of a long record cannot tell rich functions apart: the best few go on to all that is fitted.
+        best = sorted(wanted, key=lambda one: one.rms)[:_WHOLE]
+        whole = [
+            tried(_gone_on(one.structure, one.spec, one.fit, parts.estimation, parts))
+            for one in best
+            if one.fit is not None
+        ]
+        wanted = [one for one in whole if one.fit is not None] or wanted
+        chosen = _simplest(wanted)
     model_fit = chosen.fit
     assert model_fit is not None
     if parts.everything is not parts.estimation:
@@ -350,7 +355,8 @@ def _fitted(structure: str, spec: PredictionError, data: Data, parts: Split, mos
 
 def _gone_on(structure: str, spec: PredictionError, fit: ChainFit, data: Data, parts: Split) -> Trial:
     try:
-        found = continued(spec.structure(), fit.point.parameters.chain, data, _FUNCTION_ITERATIONS)
+        most = _FUNCTION_ITERATIONS if data.count < _COMPARED // 2 else _ORDER_ITERATIONS
+        found = continued(spec.structure(), fit.point.parameters.chain, data, most)
         return _judged(structure, spec, _counted_as(found, fit), parts)
     except (EstimationError, np.linalg.LinAlgError) as error:
         return Trial(structure, spec, reason=str(error))
