@@ -27,8 +27,10 @@ from tests.forked import GUARD_SECONDS, Forked, run_forked
 # As in a run. On matrices of a few rows, BLAS's threads take several times the processor time of one.
 pin_blas()
 
-# In the background of a script, SIGINT is ignored, and so it would be in all that is started here.
+# In the background of a script SIGINT is ignored, under nohup SIGHUP, and so they would be in all that is
+# started here.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # The same examples everywhere, however slow the machine.
 settings.register_profile(

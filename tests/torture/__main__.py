@@ -23,8 +23,10 @@ def main() -> int:
     parser.add_argument("--count", type=int, help="how many faults of a kind, by its own measure")
     parser.add_argument("--seed", type=int, default=1, help="of the random faults")
     options = parser.parse_args()
-    # In the background of a script, SIGINT is ignored, and so it would be in all that is started here.
+    # In the background of a script SIGINT is ignored, under nohup SIGHUP, and so they would be in all that is
+    # started here.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     tally = Tally()
     for name in options.only or KINDS:
         start = time.monotonic()
