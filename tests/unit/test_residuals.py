@@ -25,7 +25,7 @@ from hident.numerics.residuals import (
 from hident.records import needed
 
 QUICK = settings(deadline=None, derandomize=True, max_examples=15)
-TRIALS, N, LEVEL = 100, 300, 0.05
+TRIALS, N, LEVEL = 200, 300, 0.05
 NOISES = {
     "white": ([1.0], [1.0]),
     "ar": ([1.0], [1.0, -0.9]),
