@@ -32,6 +32,8 @@ _KEPT_APART = 0.2
 # First samples that are not fitted: at most this many, and this share of an experiment.
 _MOST_INITIAL, _INITIAL_SHARE = 250, 20
 _BATCHES, _FEWEST, _WHOLE = 20, 20, 2
+# Blocks of so many samples whose variance is below this part of the mean one are at rest.
+_BLOCK, _AT_REST, _SEVERAL = 50, 0.01, 10
 # Short fits of higher orders that gain less than this have gained nothing.
 _CLOSE = 1.03
 _MOST_LINEAR, _MORE_LINEAR, _MANY = 4, 8, 5000
@@ -103,7 +105,10 @@ def split(record: Record, n_init: int | None, start: Start = "settled") -> Split
     """The validation record if there is one, else the last fifth of each experiment."""
     shortest = min(part.stop - part.start for part in record.experiments)
     initial = min(_MOST_INITIAL, shortest // _INITIAL_SHARE) if n_init is None else n_init
-    everything = Data(record.u, record.y, record.experiments, start, initial)
+    quiet = quiet_beginning(record, 2 * initial) if len(record.experiments) == 1 else 0
+    u, y = record.u[quiet:], record.y[quiet:]
+    experiments = (slice(0, len(u)),) if quiet else record.experiments
+    everything = Data(u, y, experiments, start, initial)
     if record.validation is not None:
         other = record.validation
         kept = Data(other.u, other.y, other.experiments, start, initial)
@@ -116,9 +121,10 @@ def split(record: Record, n_init: int | None, start: Start = "settled") -> Split
             f"the record for validation, {kept.count} samples",
         )
     cuts = [part.start + round((part.stop - part.start) * (1.0 - _KEPT_APART)) for part in record.experiments]
-    firsts = [slice(part.start, cut) for part, cut in zip(record.experiments, cuts, strict=True)]
-    lasts = [np.arange(cut, part.stop) for part, cut in zip(record.experiments, cuts, strict=True)]
-    u, y = (np.concatenate([signal[first] for first in firsts]) for signal in (record.u, record.y))
+    cuts = [cut - quiet for cut in cuts]
+    firsts = [slice(part.start, cut) for part, cut in zip(experiments, cuts, strict=True)]
+    lasts = [np.arange(cut, part.stop) for part, cut in zip(experiments, cuts, strict=True)]
+    u, y = (np.concatenate([signal[first] for first in firsts]) for signal in (u, y))
     several = " of each experiment" if len(firsts) > 1 else ""
     tails = np.concatenate(lasts)
     return Split(
@@ -135,9 +141,10 @@ def split(record: Record, n_init: int | None, start: Start = "settled") -> Split
 class Identification:
     """All that was tried, and what was chosen, see :func:`identify` (which has an example).
 
-    ``chosen`` is the trial with the fewest numbers among those whose mean squared error on the samples kept
-    apart is within one standard error of the least (of the difference, in batches; ``within`` counts the
-    places of these trials), ``model_fit`` its fit to all samples, and ``parts`` what it was chosen by.
+    ``chosen`` is the trial with the fewest numbers (of a long record, the best) among those whose mean
+    squared error on the samples kept apart is within one standard error of the least (of the difference, in
+    batches; ``within`` counts the places of these trials), ``model_fit`` its fit to all samples, and
+    ``parts`` what it was chosen by.
     """
 
     trials: tuple[Trial, ...]
@@ -161,6 +168,23 @@ class Identification:
         assert self.chosen.fit is not None
         made = self.parts.simulated(self.chosen.fit.point.parameters.chain)
         return judgement(self.parts.input, self.parts.output, made, self.parts.kept_experiments)
+
+
+def quiet_beginning(record: Record, kept: int) -> int:
+    """How many first samples say nothing, as input and output are at rest; ``kept`` of the rest stay.
+
+    A rest has its own noise and its own drift, which a fit would take for the system's.
+    """
+    blocks = len(record) // _BLOCK
+    if blocks < _SEVERAL:
+        return 0
+    spreads = [
+        np.var(signal[: blocks * _BLOCK].reshape(blocks, _BLOCK), axis=1) for signal in (record.u, record.y)
+    ]
+    moves = np.any([spread > _AT_REST * np.mean(spread) for spread in spreads], axis=0)
+    # A block that moves by itself, as a record's first may, is no beginning.
+    mostly = np.convolve(moves, np.full(_SEVERAL, 1.0 / _SEVERAL), "valid") >= 0.5
+    return max(int(np.argmax(mostly)) * _BLOCK - kept, 0)
 
 
 def identify(
@@ -272,7 +296,8 @@ def _identified(
             if one.fit is not None
         ]
         wanted = [one for one in whole if one.fit is not None] or wanted
-        chosen = _simplest(wanted)
+        # A few numbers more are no risk beside so many samples.
+        chosen = min(wanted, key=lambda one: one.rms)
     model_fit = chosen.fit
     assert model_fit is not None
     if parts.everything is not parts.estimation:

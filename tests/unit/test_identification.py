@@ -18,6 +18,7 @@ from hident.identification.identify import (
     _simplest,
     first_lag,
     identify,
+    quiet_beginning,
     split,
 )
 from hident.linear_blocks import TransferFunction
@@ -101,6 +102,21 @@ def test_a_record_for_validation_leaves_all_of_the_record_to_be_fitted():
     parts = split(record_of(u, y, validation=other), 10)
     assert parts.estimation is parts.everything
     np.testing.assert_array_equal(parts.output, other.y[10:])
+
+
+def test_a_quiet_beginning_is_left_out_but_for_its_end():
+    u, y = tank(2000)
+    noise = 0.001 * np.random.default_rng(0).standard_normal(1000)
+    record = record_of(np.r_[np.zeros(1000), u], np.r_[noise, y])
+    quiet = quiet_beginning(record, 100)
+    assert 600 <= quiet <= 900
+    parts = split(record, 50)
+    np.testing.assert_array_equal(parts.everything.u, record.u[quiet:])
+    np.testing.assert_array_equal(parts.output, record.y[2400:])
+    assert quiet_beginning(record_of(u, y), 100) == 0
+    # An output that moves under a constant input says something.
+    moving = np.r_[0.5 * np.sin(0.1 * np.arange(1000)), y]
+    assert quiet_beginning(record_of(np.r_[np.ones(1000), u], moving), 100) == 0
 
 
 @pytest.mark.parametrize(("lags", "first"), [(0, 0), (1, 1), (3, 3), (7, 7)])
