@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all: written beside their place, and renamed into it."""
+"""Files that are there whole or not at all: written beside their place and renamed into it. Folders."""
 
 from __future__ import annotations
 
@@ -7,6 +7,21 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hident.errors import StoreError
+
+
+def made_folder(path: Path) -> Path:
+    """The folder, which is made with those above it if it is not there.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"{path} cannot be made: {(error.strerror or str(error)).lower()}") from None
+    return path
 
 
 @contextmanager

@@ -21,14 +21,14 @@ from hident.commands.models import draw_model, save_figure
 from hident.commands.showing import print_columns
 from hident.config.spec import canonical
 from hident.config.suggest import did_you_mean, one_of
-from hident.errors import ConfigError, EstimationError, StoreError
+from hident.errors import ConfigError, EstimationError
 from hident.fitted_model import FittedModel
 from hident.identification.candidates import STRUCTURES
 from hident.identification.identify import Identification, Trial, identify
 from hident.measurements.measured_record import MeasuredRecord
 from hident.models.formulas import formulas
 from hident.models.model_file import write_model
-from hident.new_files import replacing
+from hident.new_files import made_folder, replacing
 from hident.records import Record
 
 _SHOWN_OF_EACH = 3
@@ -64,7 +64,7 @@ def identify_file(
     record = spec.read(Path())
     folder = out or Path("out") / f"identify_{files[0].stem}"
     # Before what takes long: a folder that cannot be made would cost it.
-    _make(folder)
+    made_folder(folder)
     begun = time.monotonic()
     try:
         found = identify(
@@ -212,13 +212,6 @@ def _said(found: Identification, record: Record) -> Iterator[str]:
     except EstimationError as error:
         yield f"- {error}"
     yield ""
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(f"{folder} cannot be made: {(error.strerror or str(error)).lower()}") from None
 
 
 def _write(

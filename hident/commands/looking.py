@@ -40,10 +40,11 @@ def show(files: Sequence[Path], out: Path | None, **options: Any) -> Exit:
 def _show_record(files: Sequence[Path], out: Path | None, options: dict[str, Any]) -> Exit:
     spec = record_of(files, **options)
     record = spec.read(Path())
-    for part, title in ((record, one_of(map(str, files))), (record.validation, "for validation")):
-        if part is not None:
-            _print_look(part, first_look(part), title)
-    return Exit.FINE if out is None else _write_figures(record, out)
+    look = first_look(record)
+    _print_look(record, look, one_of(map(str, files)))
+    if record.validation is not None:
+        _print_look(record.validation, first_look(record.validation), "for validation")
+    return Exit.FINE if out is None else _write_figures(record, look, out)
 
 
 def _print_look(record: Record, look: FirstLook, title: str) -> None:
@@ -95,7 +96,7 @@ def _condition(value: float) -> str:
     return f"{value:.3g}{' (bad)' if value > CONDITION else ''}"
 
 
-def _write_figures(record: Record, out: Path) -> Exit:
+def _write_figures(record: Record, look: FirstLook, out: Path) -> Exit:
     from hident.reports.first_look import figures
     from hident.reports.style import style, typeset
 
@@ -103,7 +104,7 @@ def _write_figures(record: Record, out: Path) -> Exit:
     try:
         out.mkdir(parents=True, exist_ok=True)
         with style():
-            for name, draw in figures(record, first_look(record)).items():
+            for name, draw in figures(record, look).items():
                 temporary, file = out / f".{name}.png.part", out / f"{name}.png"
                 try:
                     figure = draw()

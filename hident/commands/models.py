@@ -12,12 +12,12 @@ import numpy as np
 
 from hident.arrays import Array
 from hident.commands.measured import record_of
-from hident.errors import ConfigError, StoreError
+from hident.errors import ConfigError, EstimationError
 from hident.fitted_model import FittedModel
 from hident.models.convert import target
 from hident.models.formulas import formulas, time_unit
 from hident.models.model_file import load_model
-from hident.new_files import replacing
+from hident.new_files import made_folder, replacing
 from hident.records import Record
 from hident.static_functions import StaticFunction
 
@@ -40,10 +40,7 @@ def draw_model(model: FittedModel, folder: Path) -> list[str]:
     """Draw a model into a folder; the names of the files."""
     from hident.reports.model_figures import figures
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(f"{folder} cannot be made: {(error.strerror or str(error)).lower()}") from None
+    made_folder(folder)
     found = figures(model)
     for name, draw in found.items():
         save_figure(folder / name, draw)
@@ -207,12 +204,15 @@ class _Run:
 
     def _scores(self, y: Array, made: Array) -> str:
         """By the definitions of nonlinear_benchmarks: NRMSE = RMSE/std(y), fit = 100 (1 - NRMSE)."""
+        from hident.metrics.fit import nrmse, rmse
+
         with np.errstate(over="ignore"):
-            rmse, spread = float(np.sqrt(np.mean((y - made) ** 2))), float(np.std(y))
-        if spread == 0.0:
-            return f"RMSE {rmse:.5g}{self._unit()} ('{self.compare}' is constant: no NRMSE)"
-        nrmse = rmse / spread
-        return f"RMSE {rmse:.5g}{self._unit()}, NRMSE {nrmse:.4g}, fit {100.0 * (1.0 - nrmse):.2f} %"
+            said = f"RMSE {rmse(y, made):.5g}{self._unit()}"
+            try:
+                relative = nrmse(y, made)
+            except EstimationError:
+                return f"{said} ('{self.compare}' is constant: no NRMSE)"
+        return f"{said}, NRMSE {relative:.4g}, fit {100.0 * (1.0 - relative):.2f} %"
 
     def time(self) -> Array:
         """From the first sample of each experiment on, in samples if no interval is known."""

@@ -200,6 +200,15 @@ def require_moderate(signal: Array, name: str) -> None:
         )
 
 
+def require_usable(record: Record) -> None:
+    """Raise EstimationError unless the signals are finite, of moderate size and vary."""
+    require_finite(record.y)
+    for signal, name in ((record.u, "input"), (record.y, "output")):
+        require_moderate(signal, name)
+    for signal, name in ((record.u, "input"), (record.y, "output")):
+        require_varying(signal, name)
+
+
 def require_varying(signal: Array, name: str) -> None:
     """Raise EstimationError if the signal, the input or the output as ``name`` says, is constant."""
     if varies(signal):

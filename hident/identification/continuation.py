@@ -8,17 +8,13 @@ from hident.estimators.prediction_error.chain_fit import ChainFit
 from hident.estimators.prediction_error.criterion import Data, point_at
 from hident.estimators.prediction_error.descent import descend
 from hident.estimators.prediction_error.structure import ChainStructure
-from hident.linear_blocks import TransferFunction
-from hident.static_functions import StaticFunction
 
 
 def continued(
     structure: ChainStructure, chain: BlockChain, data: Data, max_iterations: int = 100
 ) -> ChainFit:
     """The fit of a chain whose search starts from another chain with the same linear blocks."""
-    linear = {i: one for i, one in enumerate(chain.blocks) if isinstance(one, TransferFunction)}
-    functions = {i: one for i, one in enumerate(chain.blocks) if isinstance(one, StaticFunction)}
-    begun = point_at(data, structure.made(data, linear, functions))
+    begun = point_at(data, structure.after(dict(enumerate(chain.blocks)), data))
     if begun is None:
         raise EstimationError("the output of the chain it starts from is not finite on this record")
     found = descend(begun, max_iterations)

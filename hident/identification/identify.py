@@ -12,7 +12,7 @@ from hident.arrays import Array
 from hident.block_chain import BlockChain, Start
 from hident.config.spec import canonical
 from hident.errors import EstimationError
-from hident.estimators.base import require_finite, require_moderate, require_varying
+from hident.estimators.base import require_usable
 from hident.estimators.prediction_error.block_specs import LinearBlock
 from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain
 from hident.estimators.prediction_error.criterion import Data, simulated
@@ -66,13 +66,6 @@ class Trial:
         assert self.fit is not None
         n = self.fit.point.data.count
         return n * float(np.log(max(self.estimation, 1e-300) ** 2)) + self.count * float(np.log(n))
-
-    @property
-    def aic(self) -> float:
-        """Akaike's criterion of the errors that were fitted."""
-        assert self.fit is not None
-        n = self.fit.point.data.count
-        return n * float(np.log(max(self.estimation, 1e-300) ** 2)) + 2.0 * self.count
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,11 +222,7 @@ def identify(
     import scipy.linalg  # noqa: F401  (its BLAS must be loaded to be held)
     from threadpoolctl import threadpool_limits
 
-    require_finite(record.y)
-    require_moderate(record.u, "input")
-    require_moderate(record.y, "output")
-    require_varying(record.u, "input")
-    require_varying(record.y, "output")
+    require_usable(record)
     # On matrices of a few rows, BLAS's threads take several times the processor time of one.
     with threadpool_limits(1):
         return _identified(record, structures, n_init, start, tell)
@@ -261,19 +250,18 @@ def _identified(
         tell(trial)
         return trial
 
-    nk = first_lag(parts.estimation)
+    lag = first_lag(parts.estimation)
     highest = _MORE_LINEAR if len(short.u) >= _MANY else _MOST_LINEAR
     few = short.busiest(_ORDERS)
     linear = [
         tried(_fitted("linear", spec, few, parts, _LINEAR_STARTS))
         for n in range(1, highest + 1)
-        for spec in [chain("linear", orders_of("linear", n, nk), {}, n_init=initial, start=start)]
+        for spec in [chain("linear", orders_of("linear", n, lag), {}, n_init=initial, start=start)]
     ]
-    fitted = [i for i, one in enumerate(linear) if one.fit is not None]
-    n = 1 + (linear.index(_simplest([linear[i] for i in fitted])) if fitted else 1)
+    n = 1 + linear.index(_simplest(linear)) if any(one.fit for one in linear) else 2
     for structure in structures:
         if structure != "linear":
-            _grow(structure, n, nk, short, parts, tried)
+            _grow(structure, n, lag, short, parts, tried)
     wanted = [one for one in trials if one.fit is not None and one.structure in structures]
     if not wanted:
         reason = next((one.reason for one in trials if one.reason), "no structure was asked for")
@@ -303,7 +291,8 @@ def _identified(
     if parts.everything is not parts.estimation:
         again = continued(chosen.spec.structure(), model_fit.point.parameters.chain, parts.everything)
         model_fit = _counted_as(again, model_fit)
-    within = frozenset(i for i, one in enumerate(trials) if one in _near_the_best(wanted))
+    near = _near_the_best(wanted)
+    within = frozenset(i for i, one in enumerate(trials) if one in near)
     return Identification(tuple(trials), within, chosen, model_fit, parts)
 
 
@@ -317,7 +306,7 @@ def first_lag(data: Data) -> int:
 def _grow(
     structure: str,
     n: int,
-    nk: int,
+    lag: int,
     short: Data,
     parts: Split,
     tried: Callable[[Trial], Trial],
@@ -330,7 +319,7 @@ def _grow(
     waiting = [max(n - step, 1), n, n + step]
     while waiting:
         m = waiting.pop(0)
-        orders = orders_of(structure, m, nk)
+        orders = orders_of(structure, m, lag)
         if tuple(orders) in seen:
             continue
         seen.add(tuple(orders))
@@ -341,15 +330,15 @@ def _grow(
             waiting.append(m + step)
     found = [one for one in first if one.fit is not None]
     least = min((one.rms for one in found), default=np.inf)
+    close = [one for one in found if one.rms <= _CLOSE * least]
+    best = min(close, key=lambda one: one.count, default=None)
     for static in STATIC:
-        if found:
-            best = min((one for one in found if one.rms <= _CLOSE * least), key=lambda one: one.count)
-            assert best.fit is not None
+        if best is not None and best.fit is not None:
             spec = chain(structure, list(_orders(best.spec)), static, n_init=initial, start=start)
             tried(_gone_on(structure, spec, best.fit, short, parts))
         elif static["kind"] != FIRST_STATIC["kind"]:
             # An input of few levels may tell the numbers of simpler functions apart.
-            simpler = chain(structure, orders_of(structure, n, nk), static, n_init=initial, start=start)
+            simpler = chain(structure, orders_of(structure, n, lag), static, n_init=initial, start=start)
             tried(_fitted(structure, simpler, short, parts))
 
 

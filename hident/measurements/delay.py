@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hident.arrays import Array
+from hident.numerics.autoregression import yule_walker
 from hident.numerics.parts import Parts, longer_than
 
 _LONGEST_AR = 30
@@ -98,22 +100,14 @@ def _whitened(x: Array, parts: Parts, most: int) -> tuple[list[Array], int]:
 
 def _autoregression(x: Array, parts: Parts, most: int) -> Array:
     """Coefficients (1, a_1, ..., a_p) of the order that Schwarz's criterion chooses, by Yule and Walker."""
+    models = yule_walker(x, most, parts)
     n = sum(part.stop - part.start for part in parts)
-    r = np.array([sum(x[p][k:] @ x[p][: len(x[p]) - k] for p in parts) for k in range(most + 1)]) / n
-    a, variance = np.ones(1), float(r[0])
-    best, chosen = math.inf, a
-    for p in range(most + 1):
-        if p:
-            # Levinson's recursion.
-            reflection = -float(a @ r[p:0:-1]) / variance
-            a = np.append(a, 0.0) + reflection * np.append(a, 0.0)[::-1]
-            variance *= 1.0 - reflection**2
-        if not variance > 1e-12 * r[0]:
-            break
-        score = n * math.log(variance) + p * math.log(n)
-        if score < best:
-            best, chosen = score, a
-    return chosen
+    # What is left of a signal that is exact is rounding.
+    known = list(takewhile(lambda model: model.variance > 1e-12 * models[0].variance, models))
+    if not known:
+        return np.ones(1)
+    chosen = min(known, key=lambda model: n * math.log(model.variance) + len(model.a) * math.log(n))
+    return np.asarray(np.r_[1.0, -chosen.a])
 
 
 def _normal(tests: int) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Self
+from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -220,9 +220,6 @@ class _WithCorners(StaticSpec):
     def is_fixed(self) -> bool:
         return True
 
-    def _corners(self, x: Array, low: float, high: float) -> tuple[float, float]:
-        raise NotImplementedError
-
 
 @component("block", "saturation")
 class SaturationBlock(_WithCorners):
@@ -256,8 +253,3 @@ def _corners(x: Array, share: float, low: float, high: float) -> tuple[float, fl
     """Corners that leave this share of the signal beyond each of them."""
     left, right = (float(value) for value in np.quantile(x, [share, 1.0 - share]))
     return (left, right) if left < right else (low + share * (high - low), high - share * (high - low))
-
-
-def structures(blocks: tuple[Any, ...]) -> tuple[LinearStructure | StaticKind, ...]:
-    """What is to be found of each block."""
-    return tuple(block.structure() for block in blocks)

@@ -7,23 +7,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hident.arrays import Array
 from hident.errors import EstimationError
-from hident.estimators.prediction_error.criterion import Data, Point, point_at
+from hident.estimators.prediction_error.criterion import Data, Point, least_squares, point_at
 from hident.estimators.prediction_error.descent import Descent, Status, descend
 from hident.estimators.prediction_error.excitation import require_excitation
-from hident.estimators.prediction_error.linear_start import least_squares
+from hident.estimators.prediction_error.linear_start import stabilised
 from hident.estimators.prediction_error.parameters import Parameters
 from hident.estimators.prediction_error.starts import starts
 from hident.estimators.prediction_error.structure import ChainStructure
 from hident.fitted_model import NoiseModel
-from hident.static_functions import StaticFunction
+from hident.linear_blocks import TransferFunction
 
 # The race: so many samples, and iterations of each start, then of the best of them.
 _FIRST_HEAT, _SECOND_HEAT = (6000, 6), (12000, 40)
 _KEPT_OF_FIRST = 3
 # With smooth functions: so many starts, of which so many go on for so many iterations.
 _RACED_OF_SMOOTH, _KEPT_OF_SMOOTH, _SMOOTH_ITERATIONS = 6, 2, 12
+# Roots of the first noise model are no farther from 0.
+_FARTHEST_OF_NOISE = 0.99
 # Two fits whose losses are nearer than this are one optimum.
 _SAME = 1e-3
 
@@ -137,12 +138,9 @@ def _smooth_starts(
 
 def _lengthened(structure: ChainStructure, i: int, point: Point, data: Data) -> list[Point]:
     """The start of the longer chain in which block i is the identity."""
-    blocks = dict(enumerate(point.parameters.chain.blocks))
-    longer = {j + (j >= i): one for j, one in blocks.items()}
-    linear = {j: one for j, one in longer.items() if not isinstance(one, StaticFunction)}
-    functions = {j: one for j, one in longer.items() if isinstance(one, StaticFunction)}
+    blocks = {j + (j >= i): one for j, one in enumerate(point.parameters.chain.blocks)}
     try:
-        made = point_at(data, structure.made(data, linear, functions))
+        made = point_at(data, structure.after(blocks, data))
     except ValueError:
         return []
     return [] if made is None else [made]
@@ -186,19 +184,9 @@ def _with_noise(point: Point, ar: int, ma: int) -> Point:
             data.delayed(e, j + 1, rows[ar + j])
         numbers = least_squares(rows[:, data.counted], point.v[data.counted])
         d, c = numbers[:ar], numbers[ar:]
-    noise = NoiseModel(ar=_inside(d, -1.0), ma=_inside(c, 1.0))
+    inside = [stabilised(TransferFunction(a=tuple(a.tolist())), _FARTHEST_OF_NOISE).a for a in (d, -c)]
+    noise = NoiseModel(ar=inside[0], ma=tuple(-value for value in inside[1]))
     found = point_at(point.data, point.parameters, noise)
     if found is None:
         raise EstimationError("the noise of the output error has no model that is finite")
     return found
-
-
-def _inside(coefficients: Array, sign: float) -> tuple[float, ...]:
-    """The coefficients of 1 + sign (c_1 q^-1 + ...) with its roots reflected into the unit circle."""
-    if not len(coefficients):
-        return ()
-    roots = np.roots(np.r_[1.0, sign * coefficients])
-    size = np.abs(roots)
-    roots[size > 1.0] = 1.0 / roots[size > 1.0].conj()
-    roots = np.where(np.abs(roots) > 0.99, roots * (0.99 / np.maximum(np.abs(roots), 0.99)), roots)
-    return tuple((sign * np.poly(roots).real[1:]).tolist())

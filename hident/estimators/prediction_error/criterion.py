@@ -14,7 +14,7 @@ each trial of the others (Golub and Pereyra's variable projection, in Kaufman's 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from hident.block_chain import Block, BlockChain, Start, settled_state
 from hident.estimators.prediction_error.parameters import LinearStructure, Parameters, is_stable
 from hident.fitted_model import NoiseModel
 from hident.linear_blocks import TransferFunction
-from hident.numerics.parts import Parts
+from hident.numerics.parts import Parts, in_each
 from hident.static_functions import StaticFunction
 
 # Directions along which columns of length one change the output by less (squared, relative to the largest)
@@ -97,15 +97,15 @@ class Data:
         """The rows (..., N) through B/F, each experiment by itself, begun as ``start`` says."""
         from scipy.signal import lfilter
 
-        if self.start == "rest" or len(denominator) == len(b) == 1:
-            pieces = [lfilter(b, denominator, rows[..., part]) for part in self.experiments]
-        else:
-            state = settled_state(b, denominator)
-            pieces = [
-                lfilter(b, denominator, rows[..., part], zi=rows[..., part.start, None] * state)[0]
-                for part in self.experiments
-            ]
-        return pieces[0] if len(pieces) == 1 else np.concatenate(pieces, axis=-1)
+        at_rest = self.start == "rest" or len(denominator) == len(b) == 1
+        state = None if at_rest else settled_state(b, denominator)
+
+        def of_one(x: Array) -> Array:
+            if state is None:
+                return np.asarray(lfilter(b, denominator, x))
+            return np.asarray(lfilter(b, denominator, x, zi=x[..., :1] * state)[0])
+
+        return in_each(self.experiments, of_one, rows, axis=rows.ndim - 1)
 
     def through(self, block: Block, x: Array) -> Array:
         """What stands behind a block; a static one takes (N,), a linear one (..., N)."""
@@ -115,13 +115,9 @@ class Data:
 
     def whitened(self, noise: NoiseModel, rows: Array) -> Array:
         """The rows (..., N) through D/C, each experiment by itself."""
-        from scipy.signal import lfilter
-
         if not (noise.ar or noise.ma):
             return rows
-        top, bottom = np.r_[1.0, -np.asarray(noise.ar)], np.r_[1.0, noise.ma]
-        pieces = [lfilter(top, bottom, rows[..., part]) for part in self.experiments]
-        return pieces[0] if len(pieces) == 1 else np.concatenate(pieces, axis=-1)
+        return in_each(self.experiments, noise.innovations, rows, axis=rows.ndim - 1)
 
     def delayed(self, row: Array, steps: int, out: Array, factor: float = 1.0) -> None:
         """Write ``factor`` times q^-steps of a signal (N,) to ``out`` (N,)."""
@@ -273,7 +269,7 @@ def _noise_rows(data: Data, noise: NoiseModel, v: Array, out: Array) -> None:
     at_rest = replace(data, start="rest")
     for order, signal, first in ((len(noise.ar), v, 0), (len(noise.ma), e, len(noise.ar))):
         if order:
-            over = np.concatenate([lfilter([1.0], bottom, signal[part]) for part in data.experiments])
+            over = in_each(data.experiments, partial(lfilter, [1.0], bottom), signal)
             for j in range(order):
                 at_rest.delayed(over, j + 1, out[first + j])
 
@@ -331,10 +327,18 @@ def solved(rows: Array, y: Array, data: Data) -> Array:
     """
     if not isinstance(data.counted, slice):
         rows, y = rows[:, data.counted], y[data.counted]
+    return least_squares(rows, y, FREE)
+
+
+def least_squares(rows: Array, y: Array, free: float = 1e-14) -> Array:
+    """The numbers (P,) whose sum of rows (P, N) is nearest to y (N,); the least ones if several are.
+
+    ``free`` is what a squared singular value of rows of length one is nothing below, beside the largest.
+    """
     normal, right = rows @ rows.T, rows @ y
     lengths = np.sqrt(np.diag(normal))
     lengths[lengths == 0.0] = 1.0
     values, vectors = np.linalg.eigh(normal / np.outer(lengths, lengths))
-    known = values > FREE * values[-1]
+    known = values > free * values[-1]
     vectors = vectors[:, known]
     return np.asarray((vectors @ ((vectors.T @ (right / lengths)) / values[known])) / lengths)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hident.arrays import Array, Complex
-from hident.estimators.prediction_error.criterion import Data
+from hident.estimators.prediction_error.criterion import Data, least_squares
 from hident.linear_blocks import TransferFunction
 
 _FARTHEST = 0.995
@@ -40,29 +40,18 @@ def steiglitz_mcbride(
     return found
 
 
-def least_squares(rows: Array, y: Array) -> Array:
-    """The numbers (P,) whose sum of rows (P, N) is nearest to y (N,); the least ones if several are."""
-    lengths = np.linalg.norm(rows, axis=1)
-    lengths[lengths == 0.0] = 1.0
-    normal = (rows @ rows.T) / np.outer(lengths, lengths)
-    values, vectors = np.linalg.eigh(normal)
-    known = values > 1e-14 * values[-1]
-    right = vectors[:, known].T @ (rows @ y / lengths)
-    return np.asarray(vectors[:, known] @ (right / values[known]) / lengths)
-
-
-def stabilised(block: TransferFunction) -> TransferFunction:
-    """The block with unstable poles reflected into the unit circle, and none nearer to it than 0.005."""
+def stabilised(block: TransferFunction, farthest: float = _FARTHEST) -> TransferFunction:
+    """The block with unstable poles reflected into the unit circle, and none beyond ``farthest`` from 0."""
     if not block.a:
         return block
     poles = block.poles()
     outside = np.abs(poles) > 1.0
     poles[outside] = 1.0 / poles[outside].conj()
     size = np.abs(poles)
-    near = size > _FARTHEST
+    near = size > farthest
     if not np.any(outside | near):
         return block
-    poles[near] *= _FARTHEST / size[near]
+    poles[near] *= farthest / size[near]
     return TransferFunction(block.b, tuple((-np.poly(poles).real[1:]).tolist()))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -77,20 +78,23 @@ class Parameters:
     held: frozenset[int] = frozenset()
 
     @classmethod
-    def of(cls, structures: Sequence[Structure], chain: BlockChain, held: Sequence[int] = ()) -> Parameters:
-        """The parameters of a chain, whose static blocks say the bases."""
-        kept = tuple(
-            StaticStructure(block.basis) if isinstance(block, StaticFunction) else structure
-            for structure, block in zip(structures, chain.blocks, strict=True)
-        )
-        return cls(kept, chain, frozenset(held))
+    def of(cls, orders: Sequence[object], chain: BlockChain, held: Sequence[int] = ()) -> Parameters:
+        """The parameters of a chain, whose static blocks say their bases, and ``orders`` the linear ones."""
+        structures: list[Structure] = []
+        for order, block in zip(orders, chain.blocks, strict=True):
+            if isinstance(block, StaticFunction):
+                structures.append(StaticStructure(block.basis))
+            else:
+                assert isinstance(order, LinearStructure)
+                structures.append(order)
+        return cls(tuple(structures), chain, frozenset(held))
 
-    @property
+    @cached_property
     def free(self) -> tuple[int, ...]:
         """The places of the blocks to be found."""
         return tuple(i for i in range(len(self.structures)) if i not in self.held)
 
-    @property
+    @cached_property
     def projected(self) -> int | None:
         """The place of the block whose coefficients are solved for."""
         last = [i for i in self.free if isinstance(self.structures[i], StaticStructure)]

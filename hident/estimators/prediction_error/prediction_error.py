@@ -12,7 +12,7 @@ from pydantic import Field, field_validator
 
 from hident.config.spec import Count, NonEmpty, Of, Spec, component
 from hident.errors import EstimationError
-from hident.estimators.base import AtOneInterval, require_finite, require_moderate, require_varying
+from hident.estimators.base import AtOneInterval, require_usable
 from hident.estimators.normalisation import Normalisation, unit_static_gain
 from hident.estimators.prediction_error.block_specs import BlockSpec, LinearBlock, StaticSpec
 from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain
@@ -126,11 +126,7 @@ class PredictionError(AtOneInterval):
 
     def identify(self, record: Record) -> ChainFit:
         """The fit, with all that is known of the search."""
-        require_finite(record.y)
-        require_moderate(record.u, "input")
-        require_moderate(record.y, "output")
-        require_varying(record.u, "input")
-        require_varying(record.y, "output")
+        require_usable(record)
         self.require_experiments(record)
         data = Data(record.u, record.y, record.experiments, self.start, self.n_init)
         if data.count < self.fewest_samples() - self.n_init:

@@ -12,7 +12,8 @@ from hident.block_chain import BlockChain
 from hident.estimators.prediction_error.criterion import FREE, Point
 from hident.estimators.prediction_error.gauge import normalised
 from hident.estimators.prediction_error.parameters import LinearStructure, Parameters
-from hident.numerics.parts import Parts, following, in_each
+from hident.numerics.autoregression import yule_walker
+from hident.numerics.parts import following, in_each
 from hident.static_functions import StaticFunction
 
 _STEP = 1e-6
@@ -84,32 +85,15 @@ def _covariance(point: Point) -> Array:
     count = len(point.residuals)
     freedom = max(count - int(np.count_nonzero(known)), 1)
     experiments = following(point.data.experiments, point.data.n_init)
-    d, variance = _autoregression(point.residuals, experiments, int(min(10 * np.log10(count), count // 10)))
+    noise = yule_walker(point.residuals, int(min(10 * np.log10(count), count // 10)), experiments)[-1]
 
     def coloured(piece: Array) -> Array:
-        return np.asarray(lfilter([1.0], np.r_[1.0, -d], piece[:, ::-1], axis=1))
+        return np.asarray(lfilter([1.0], np.r_[1.0, -noise.a], piece[:, ::-1], axis=1))
 
     # S = J^T R J with R = variance (D^T D)^-1: the rows backwards through 1/D.
     rows = in_each(experiments, coloured, rows, axis=1)
-    meat = variance * count / freedom * (rows @ rows.T)
+    meat = noise.variance * count / freedom * (rows @ rows.T)
     return np.asarray(inverse @ meat @ inverse / np.outer(lengths, lengths))
-
-
-def _autoregression(e: Array, experiments: Parts, order: int) -> tuple[Array, float]:
-    """d and the variance of the white noise in e_k = d_1 e_{k-1} + ... , by Yule and Walker's equations."""
-    from scipy.linalg import solve_toeplitz
-
-    products = [
-        sum(float(e[part][lag:] @ e[part][: len(e[part]) - lag]) for part in experiments) / len(e)
-        for lag in range(order + 1)
-    ]
-    if not order or products[0] == 0.0:
-        return np.zeros(0), products[0]
-    # What is exact leaves rounding only, of which no equations can be solved.
-    covariances = np.array(products)
-    covariances[0] *= 1.0 + 1e-9
-    d = solve_toeplitz(covariances[:-1], covariances[1:])
-    return d, float(covariances[0] - d @ covariances[1:])
 
 
 def _order(point: Point) -> list[int]:

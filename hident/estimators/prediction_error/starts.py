@@ -20,14 +20,9 @@ import numpy as np
 
 from hident.arrays import Array, Complex
 from hident.estimators.prediction_error.allocations import block, fits, splits
-from hident.estimators.prediction_error.criterion import Data, Point, point_at
+from hident.estimators.prediction_error.criterion import Data, Point, least_squares, point_at
 from hident.estimators.prediction_error.descent import norm
-from hident.estimators.prediction_error.linear_start import (
-    demeaned,
-    least_squares,
-    stabilised,
-    steiglitz_mcbride,
-)
+from hident.estimators.prediction_error.linear_start import demeaned, stabilised, steiglitz_mcbride
 from hident.estimators.prediction_error.parameters import LinearStructure
 from hident.estimators.prediction_error.structure import ChainStructure
 from hident.linear_blocks import TransferFunction

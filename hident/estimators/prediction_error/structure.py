@@ -14,8 +14,6 @@ from hident.estimators.prediction_error.criterion import Data, solved
 from hident.estimators.prediction_error.parameters import (
     LinearStructure,
     Parameters,
-    StaticStructure,
-    Structure,
 )
 from hident.linear_blocks import TransferFunction
 from hident.static_functions import Basis, Chebyshev, StaticFunction
@@ -114,7 +112,6 @@ class ChainStructure:
         stands before a static block of which nothing is said is scaled to a standard deviation of one.
         """
         blocks: list[Block] = []
-        structures: list[Structure] = []
         x = data.u
         for i, block in enumerate(self.blocks):
             if isinstance(block, LinearStructure):
@@ -127,34 +124,33 @@ class ChainStructure:
                 if i not in self.given and is_before_static and not is_met and scale > 0.0:
                     made = replace(made, b=tuple(b / scale for b in made.b))
                     y = y / scale
-                structures.append(block)
                 x = y
             else:
                 function = self.given.get(i) or fitted(block, x, functions.get(i), data)
                 assert isinstance(function, StaticFunction)
                 made = function
-                structures.append(StaticStructure(function.basis))
                 x = function(x)
             blocks.append(made)
-        return Parameters.of(structures, BlockChain(tuple(blocks)), tuple(self.held))
+        return Parameters.of(self.blocks, BlockChain(tuple(blocks)), tuple(self.held))
+
+    def after(self, blocks: Mapping[int, Block], data: Data) -> Parameters:
+        """As :meth:`made`, from the blocks of another chain by their places in this one."""
+        linear = {i: one for i, one in blocks.items() if isinstance(one, TransferFunction)}
+        functions = {i: one for i, one in blocks.items() if isinstance(one, StaticFunction)}
+        return self.made(data, linear, functions)
 
     def ranged(self, data: Data, parameters: Parameters) -> Parameters:
         """The parameters, with ranges of static blocks that follow the signals as these now are."""
         blocks: list[Block] = []
-        structures: list[Structure] = []
         x = data.u
         for i, (kind, block) in enumerate(zip(self.blocks, parameters.chain.blocks, strict=True)):
-            if isinstance(kind, LinearStructure):
-                structures.append(kind)
-                blocks.append(block)
-            else:
-                assert isinstance(block, StaticFunction)
+            if isinstance(block, StaticFunction) and not isinstance(kind, LinearStructure):
                 follows = i not in self.held and not block.basis.shape and not kind.is_fixed()
-                function = fitted(kind, x, block, data) if follows else block
-                structures.append(StaticStructure(function.basis))
-                blocks.append(function)
+                blocks.append(fitted(kind, x, block, data) if follows else block)
+            else:
+                blocks.append(block)
             x = data.through(blocks[-1], x)
-        return Parameters.of(structures, BlockChain(tuple(blocks)), tuple(self.held))
+        return Parameters.of(self.blocks, BlockChain(tuple(blocks)), tuple(self.held))
 
 
 Functions = Mapping[int, "StaticFunction | None"]
