@@ -9,7 +9,7 @@ CONFIGS := $(sort $(wildcard configs/*.yaml))
 # Hundreds of processes start: without cached bytecode each takes a third longer.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup reproduce-all test lint format arithmetics bench torture lock schema clean
+.PHONY: help setup reproduce-all power test lint format arithmetics bench torture lock schema clean
 .DEFAULT_GOAL := help
 
 help: ## Show the targets
@@ -32,6 +32,11 @@ reproduce-all: $(VENV)/ready ## Run every configuration, compare with results/, 
 	@$(BIN)/hident verify out --complete
 	@echo
 	@$(BIN)/hident compare out results --complete
+
+power: $(VENV)/ready ## Run every alternative, and compare with results/power
+	@$(BIN)/hident power $(CONFIGS)
+	@echo
+	@$(BIN)/hident compare out/power results/power --complete
 
 test: $(VENV)/ready ## Run the tests
 	@workers=$$($(BIN)/python -c 'from hident.engine.cores import usable_cores; print(usable_cores())') && \

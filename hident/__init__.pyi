@@ -1,7 +1,14 @@
 # The public names and where they are from; a contract test compares them with the register of components.
 
 from hident.api import compare as compare, examine as examine, fit as fit, list_components as list_components
-from hident.api import run as run, schema as schema, score as score, simulate as simulate, status as status
+from hident.api import (
+    power as power,
+    run as run,
+    schema as schema,
+    score as score,
+    simulate as simulate,
+    status as status,
+)
 from hident.api import validate as validate, verify as verify, write as write
 from hident.engine.experiment import Experiment as Experiment
 from hident.engine.results import Results as Results

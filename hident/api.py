@@ -52,6 +52,7 @@ if TYPE_CHECKING:
 
     from hident.doctor import Finding
     from hident.ledger.compare import Comparison
+    from hident.ledger.power import VerdictPower
     from hident.ledger.verify import Verification
 
 Written = Mapping[str, Any] | str
@@ -369,9 +370,14 @@ def run(
     (10, 5)
     """
     plan = validate(experiment, trials=trials, seed=seed, overrides=overrides)
-    plan = plan.changed(trial_timeout=trial_timeout)
     if said := arithmetic.shortfall(arithmetic.in_use()):
         warnings.warn(said, stacklevel=2)
+    return _ran(plan.changed(trial_timeout=trial_timeout), store, executor)
+
+
+def _ran(
+    plan: Plan, store: str | Path | TrialStore | None, executor: Executor | Client | int | None
+) -> Results:
     if store is not None or executor is not None:
         _require_source(plan)
     check_records(plan)
@@ -379,7 +385,7 @@ def run(
         if isinstance(store, str | Path):
             store = stack.enter_context(Store(Path(store)).writing())
             if store.mended:
-                warnings.warn(store.mended, stacklevel=2)
+                warnings.warn(store.mended, stacklevel=3)
         elif not isinstance(store, TrialStore | None) or isinstance(store, type):
             raise ConfigError(
                 f"store: must be a folder, or an object with the methods trials and add, not {store!r}"
@@ -393,6 +399,38 @@ def run(
             raise
         except runner.WorkerEnded as ended:
             raise runner.WorkerEnded(kept=ended.kept, in_python=True) from None
+
+
+def power(
+    experiment: Source,
+    *,
+    trials: int | None = None,
+    store: str | Path | TrialStore | None = None,
+    executor: Executor | Client | int | None = None,
+    overrides: Mapping[str, Any] = _NONE,
+) -> VerdictPower:
+    """Run the alternatives of an experiment: which of them each printed number excludes, each table rejects.
+
+    Parameters
+    ----------
+    experiment, overrides
+        As in :func:`validate`.
+    trials : int, optional
+        Trials of each alternative: at most those of the experiment, by default at most 100.
+    store, executor
+        As in :func:`run`.
+
+    Raises
+    ------
+    ConfigError
+        If there are no alternatives, or one of them cannot be run; and what :func:`run` raises.
+    """
+    from hident.ledger.mutation import measured
+
+    plan = validate(experiment, overrides=overrides)
+    if not plan.experiment.alternatives:
+        raise ConfigError(f"{plan.name}: has no 'alternatives'")
+    return measured(plan, lambda name, alternative: _ran(alternative, store, executor), trials)
 
 
 def _ended(workers: Workers, kind: type[BaseException] | None, *_: object) -> None:
@@ -482,11 +520,16 @@ def compare(
     return compare_folders(Path(ours), Path(reference), rtol=rtol, complete=complete, partial=partial)
 
 
-def verify(folder: str | Path = "out", experiments: str | Path = "experiments") -> Verification:
-    """The state of the ledger: whether each printed number that differs has its reason."""
+def verify(
+    folder: str | Path = "out", experiments: str | Path = "experiments", results: str | Path = "results"
+) -> Verification:
+    """The state of the ledger: how each table's numbers came out, and whether each difference has its reason.
+
+    What is known of alternatives is in ``folder``, else in ``results``, the accepted ones.
+    """
     from hident.ledger.verify import verify as verify_folder
 
-    return verify_folder(Path(folder), Path(experiments))
+    return verify_folder(Path(folder), Path(experiments), Path(results))
 
 
 def schema() -> dict[str, Any]:

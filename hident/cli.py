@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 import hident
 from hident import arithmetic, console, stopping
 from hident.config.suggest import did_you_mean, one_of
-from hident.errors import Exit, HidentError
+from hident.errors import Exit, HidentError, NothingToCompare
 
 if TYPE_CHECKING:
     from hident.engine.experiment import Plan
@@ -314,6 +314,40 @@ def run(
 
 
 @app.command()
+def power(
+    configs: Configs,
+    assignments: Set = None,
+    trials: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Trials of each alternative; 100 by default, and no more than the configuration's."
+        ),
+    ] = None,
+    jobs: Jobs = None,
+    out: Out = _OUT,
+    store: StoreFolder = _STORE,
+    trial_timeout: TrialTimeout = None,
+    wait: Wait = 0.0,
+    log: Log = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress and no tables.")] = False,
+    plugin: Plugins = None,
+) -> None:
+    """Run the alternatives, and write which of them each printed number excludes.
+
+    Configurations without 'alternatives' are left out.
+    """
+    from hident.commands.log_file import logging_to
+    from hident.commands.running import bench
+
+    plans = _plans(configs, assignments, None, None, plugin, trial_timeout)
+    plans = [plan for plan in plans if plan.experiment.alternatives]
+    if not plans:
+        raise NothingToCompare("no configuration that is named has 'alternatives'")
+    with logging_to(log), bench(plans, out, store, wait, jobs, plugin or (), quiet) as place:
+        place.power(trials)
+
+
+@app.command()
 def status(
     configs: Annotated[
         list[Path] | None, typer.Argument(help="YAML files or names; all of configs/ by default.")
@@ -382,6 +416,9 @@ def accept(
     trial_timeout: TrialTimeout = None,
     wait: Wait = 0.0,
     log: Log = None,
+    of_power: Annotated[
+        bool, typer.Option("--power", help="What hident power wrote, in the place of runs.")
+    ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")] = False,
     plugin: Plugins = None,
 ) -> None:
@@ -390,8 +427,12 @@ def accept(
     Measures how many of the trials a last bit moves, for compare. Nothing else changes results/.
     """
     from hident.commands.log_file import logging_to
-    from hident.commands.running import bench, check_finished
+    from hident.commands.running import accept_power, bench, check_finished
 
+    if of_power:
+        for line in accept_power(configs, out, results):
+            print(line)
+        return
     check_finished(configs, out)
     plans = _plans(map(Path, configs), assignments, trials, seed, plugin, trial_timeout)
     with logging_to(log), bench(plans, out, store, wait, jobs, plugin or (), quiet) as place:
@@ -407,13 +448,21 @@ def verify(
     complete: Annotated[
         bool, typer.Option("--complete", help="Every printed number of a paper must be judged.")
     ] = False,
+    results: Annotated[
+        Path, typer.Option(help="Folder of the accepted results, for what is known of alternatives.")
+    ] = _RESULTS,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Check that each number that differs has its reason."""
+    """Check that each number that differs has its reason, and show what the verdicts can tell.
+
+    For each table: how its numbers came out, how likely it is as a whole, and how many of the alternatives it
+    rejects.
+    """
     from hident.commands.showing import print_verification
 
     if folder is None:
         folder = _OUT if _OUT.is_dir() else _RESULTS
-    raise typer.Exit(print_verification(folder, experiments, complete=complete))
+    raise typer.Exit(print_verification(folder, experiments, results, complete=complete, as_json=as_json))
 
 
 @app.command()

@@ -16,7 +16,7 @@ from hident.engine.executors import Workers, named_executor
 from hident.engine.experiment import Plan
 from hident.engine.log import tell, warn
 from hident.engine.preflight import check_records
-from hident.engine.run_files import PAGE
+from hident.engine.run_files import PAGE, POWER
 from hident.engine.runner import CrashReport, run
 from hident.engine.store import Store, TrialStore
 from hident.errors import ConfigError, Exit, NothingToCompare
@@ -60,6 +60,22 @@ class Bench:
                 if not keep_going:
                     break
         return code
+
+    def power(self, trials: int | None) -> None:
+        """Run the alternatives of the plans, and write what the printed numbers make of them."""
+        from hident.ledger.mutation import measured
+        from hident.reports.output import power_page, write_power
+
+        for plan in self.plans:
+            with Store(self.store).writing(self.wait) as writer:
+                power = measured(plan, partial(self._alternative, plan, writer), trials)
+            folder = self.out / POWER / plan.name
+            write_power(plan, power, folder, self._workers_used())
+            if not self.quiet:
+                print(power_page(plan, power) if len(self.plans) == 1 else f"{plan.name}: wrote {folder}")
+
+    def _alternative(self, plan: Plan, writer: TrialStore, name: str, alternative: Plan) -> Results:
+        return self._trials(alternative, writer, f"{plan.name}, {name}")
 
     def accept(self, results: Path, perturbations: int) -> None:
         """Accept the outputs of the plans, each with how many of its trials a last bit moves."""
@@ -180,3 +196,11 @@ def check_finished(names: Iterable[str], out: Path) -> None:
     for name in (Path(name).stem for name in names):
         if not RunFolder(out / name).finished:
             raise NothingToCompare(f"{out / name} holds no finished run: hident run {name}")
+
+
+def accept_power(names: Iterable[str], out: Path, results: Path) -> Iterator[str]:
+    """Accept what was measured of the alternatives; a line for each configuration."""
+    from hident.ledger.accept import accept
+
+    for name in (Path(name).stem for name in names):
+        yield str(accept(out / POWER / name, results / POWER))

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import math
 import shutil
 import textwrap
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -60,25 +63,45 @@ def print_comparison(ours: Path, reference: Path, rtol: float, *, complete: bool
     return Exit.DIFFERS if count else Exit.FINE
 
 
-def print_verification(folder: Path, experiments: Path, *, complete: bool) -> Exit:
+def print_verification(
+    folder: Path, experiments: Path, results: Path, *, complete: bool, as_json: bool
+) -> Exit:
     """Print the state of the ledger."""
     from hident.ledger.verify import verify
 
-    found = verify(folder, experiments)
-    rows: list[tuple[str, ...]] = [("configuration", "printed", "exact", "agrees", "differs")]
-    for config, words in found.counts.items():
-        numbers = [words.get(word, 0) for word in ("exact", "agrees", "differs")]
-        rows.append((config, *map(str, [sum(numbers), *numbers])))
+    found = verify(folder, experiments, results)
+    owed = bool(found.unexplained or found.idle or found.stale) or (complete and bool(found.unjudged))
+    code = Exit.DIFFERS if owed else Exit.FINE
+    lists = {
+        "differs without a reason": found.unexplained,
+        "printed, but not judged here": found.unjudged,
+        "reasons that cover no difference": found.idle,
+        "alternatives": found.stale,
+    }
+    if as_json:
+        print(json.dumps({"tables": [table.plain() for table in found.tables], **lists}, indent=2))
+        return code
+    words = ("exact", "agrees", "untestable", "differs")
+    rows: list[tuple[str, ...]] = [
+        ("configuration", "table", "counted", *words, "joint p", "mutation score", "survivors")
+    ]
+    for table in found.tables:
+        numbers = [table.counts.get(word, 0) for word in words]
+        p = "-" if math.isnan(table.joint_p) else f"{table.joint_p:.2g}"
+        score = f"{table.rejected} of {table.tried}" if table.tried else "-"
+        cells = [*map(str, [sum(numbers), *numbers]), p, score, "; ".join(table.survivors)]
+        rows.append((table.config, table.table, *cells))
     print_columns(rows)
-    for title, lines in (
-        ("differs without a reason", found.unexplained),
-        ("printed, but not judged here", found.unjudged),
-        ("reasons that cover no difference", found.idle),
-    ):
+    for title, lines in lists.items():
         for line in lines:
             print(f"{title}: {line}")
+    uncounted = Counter[str]()
+    for table in found.tables:
+        uncounted.update(table.uncounted)
+    if uncounted:
+        print(f"not counted: {', '.join(f'{count} {why}' for why, count in sorted(uncounted.items()))}")
     print(f"{folder}: {'every difference has its reason' if not found.unexplained else 'reasons are owed'}")
-    return Exit.DIFFERS if found.unexplained or (complete and found.unjudged) else Exit.FINE
+    return code
 
 
 def print_diagnosis(store: Path, plugin_files: Sequence[Path]) -> Exit:

@@ -44,7 +44,7 @@ from hident.engine.cases import (
 )
 from hident.engine.every_value import with_every_value
 from hident.engine.expansion import Expansion, Unit
-from hident.engine.run_files import misnamed
+from hident.engine.run_files import POWER, misnamed
 from hident.engine.written import NEEDED, Written
 from hident.errors import ConfigError, RecordAbsent
 from hident.estimators.base import EstimatorSpec
@@ -216,7 +216,7 @@ class Plan:
     units: tuple[Unit, ...]
     perturbation: int = 0
     trial_timeout: float | None = None
-    _paper_files: dict[str, bytes | None] = field(default_factory=dict, repr=False, compare=False)
+    _files: dict[Path, bytes | None] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def seed(self) -> int:
@@ -293,9 +293,16 @@ class Plan:
 
         ConfigError if the file cannot be read.
         """
-        if self.paper is not None and name not in self._paper_files:
-            self._paper_files[name] = content_of(self.paper / name)
-        return self._paper_files.get(name)
+        return None if self.paper is None else self._known_file(self.paper / name)
+
+    def power_file(self, name: str) -> bytes | None:
+        """An accepted file of its alternatives, likewise."""
+        return self._known_file(self.root / "results" / POWER / self.name / name)
+
+    def _known_file(self, path: Path) -> bytes | None:
+        if path not in self._files:
+            self._files[path] = content_of(path)
+        return self._files[path]
 
 
 def load(

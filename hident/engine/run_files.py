@@ -20,6 +20,10 @@ CRASHES = "crashes.txt"
 OWN = (RUN, TABLE, PAGE, VERDICTS, TRIALS, CRASHES)
 SENSITIVITY = "sensitivity.csv"
 """How many trials a last bit moves; accept writes it beside the files of the run."""
+POWER = "power"
+"""The folder, beside those of the runs, of what `hident power` writes: a folder for each configuration."""
+NUMBERS, MUTATIONS = "numbers.csv", "mutations.csv"
+"""Which alternatives each printed number excludes, and which of them each table rejects."""
 BENCHMARKS = "bench.md"
 """What `make bench` writes to the folder of the accepted results: of no run."""
 _LONGEST = 100

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from hident.config.suggest import one_of
 from hident.engine.results import STATISTICS
-from hident.engine.run_files import BENCHMARKS, RUN, SENSITIVITY, TABLE, TRIALS
+from hident.engine.run_files import BENCHMARKS, POWER, RUN, SENSITIVITY, TABLE, TRIALS
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.ledger.contents import Row, content_differences, decode_table
 from hident.ledger.sensitivity import Sensitivity
@@ -119,7 +119,9 @@ def _compare(
             if complete:
                 found.append((f"{name}: not run; hident run {name}", True))
     if "." not in names:
-        others = {name for name in _files(ours) | _files(reference) if name.partition("/")[0] not in names}
+        others = {
+            name for name in _files(ours) | _files(reference) if name.partition("/")[0] not in {*names, POWER}
+        }
         found += [(line, True) for line in _lines(ours, reference, others, rtol)]
     differences, allowed = (tuple(line for line, counts in found if counts is of) for of in (True, False))
     return Comparison(differences, len(pairs), tuple(absent), allowed, tuple(left_out))

@@ -1,7 +1,8 @@
 """The printed numbers of a paper, and the reasons for those that do not come out.
 
 ``experiments/<paper>/published.csv`` has the columns table, row, quantity, printed, note; ``printed`` keeps
-the printed digits. ``reasons.yaml`` lists reasons, each with the texts or patterns that it applies to.
+the printed digits, after ``<`` or ``>`` where the paper prints a bound. ``reasons.yaml`` lists reasons, each
+with the texts or patterns that it applies to.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from hident.engine.experiment import Label, Plan, PublishedCells
 from hident.errors import ConfigError
 
 _COLUMNS = ("table", "row", "quantity", "printed", "note")
+_BOUNDS = ("<", ">")
 PUBLISHED, REASONS = "published.csv", "reasons.yaml"
 Key = tuple[str, str, str]
 
@@ -43,13 +45,24 @@ class Printed:
         return self.table, self.row, self.quantity
 
     @property
+    def bound(self) -> str:
+        """'<' or '>' if the paper prints a bound, such as "<5" for "below 5 %"; else empty."""
+        return self.printed[:1] if self.printed[:1] in _BOUNDS else ""
+
+    @property
+    def _number(self) -> str:
+        return self.printed.removeprefix(self.bound)
+
+    @property
     def value(self) -> float:
-        return float(self.printed)
+        return float(self._number)
 
     @property
     def half_unit(self) -> float:
-        """Half a unit of the last printed digit: what rounding may have moved the number by."""
-        exponent = Decimal(self.printed).as_tuple().exponent
+        """Half a unit of the last printed digit, by which rounding may have moved it; 0 for a bound."""
+        if self.bound:
+            return 0.0
+        exponent = Decimal(self._number).as_tuple().exponent
         assert isinstance(exponent, int)
         return 0.5 * 10.0**exponent
 
@@ -103,7 +116,7 @@ def read_published(paper: Path, content: bytes | None = None) -> dict[Key, Print
             raise ConfigError(f"{path}:{line}: has {len(cells)} cells, not {len(_COLUMNS)}")
         printed = Printed(*cells)
         try:
-            finite = Decimal(printed.printed).is_finite()
+            finite = Decimal(printed.printed.removeprefix(printed.bound)).is_finite()
         except InvalidOperation:
             finite = False
         if not finite:

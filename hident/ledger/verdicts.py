@@ -1,30 +1,67 @@
-"""Verdicts: how our numbers stand to the printed ones.
+"""Verdicts: how our numbers stand to the printed ones, and what that can tell.
 
 ``exact``: ours rounds to the printed digits. ``agrees``: the printed number lies in the interval that the
-trials give, widened by its rounding. ``differs``: else, and then a reason is owed. The interval is
+trials give, widened by its rounding, and not in that of every alternative that the configuration names.
+``untestable``: it lies in all of them. ``differs``: else, and then a reason is owed. The interval is
 
+- none where the trials are the paper's own data: digits are equal or differ;
 - the central 95 % of single trials where the paper ran one realisation or does not say how many it averaged;
 - the statistic +- 3 standard errors where it averaged: its own Monte Carlo error counts too, from the number
-  of its runs, except where it printed a formula's value.
+  of its runs, except where it printed a formula's value;
+- open on one side for a bound, such as "<5".
+
+docs/verdicts.md states all of it with its error rates.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+import math
+from collections import Counter
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.engine.experiment import Published, PublishedCells, Statistic
 from hident.engine.results import Results, Series
+from hident.ledger.joint import adjusted_p, combined_p, joint_p, replicates
+from hident.ledger.power import VerdictPower, power_of
 from hident.ledger.published import Printed, printed_beside, published_of, reasons_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
-Word = Literal["exact", "agrees", "differs"]
-COLUMNS = ("table", "row", "quantity", "printed", "ours", "low", "high", "verdict", "reason", "interval")
+Word = Literal["exact", "agrees", "untestable", "differs"]
+COLUMNS = (
+    "table",
+    "row",
+    "quantity",
+    "printed",
+    "ours",
+    "low",
+    "high",
+    "verdict",
+    "reason",
+    "interval",
+    "ratio",
+    "width",
+    "p",
+    "flips",
+    "excluded",
+    "alternatives",
+    "runs",
+    "mark",
+    "adjusted_p",
+    "group",
+    "joint_p",
+)
+RUNS = (1, 10, 100)
+"""How many runs a paper may have averaged that does not say it."""
+LEVEL = 0.05
+_MOST_ROWS = 10_000
+_NAN = float("nan")
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,12 +77,39 @@ class Verdict:
     word: Word
     reason: str
     interval: str
+    p: float = _NAN
+    """How likely a paper of the same experiment prints a number as far out."""
+    flips: float = _NAN
+    """How likely another block of as many trials would decide otherwise."""
+    excluded: int = 0
+    """How many alternatives it excludes."""
+    alternatives: int = 0
+    """How many alternatives change what stands beside it."""
+    runs: tuple[int, ...] = ()
+    """Of :data:`RUNS`, the numbers of runs the mean of which it may be, where the paper does not say it."""
+    mark: str = ""
+    """Why it does not count: 'structural', 'duplicate' or 'circular'; 'multiplicity' of one that differs."""
+    group: int = 0
+    """The number, within the configuration, of the printed numbers from the same data."""
+    joint: float = _NAN
+    """The p-value of its group."""
+    adjusted: float = _NAN
+    """How likely some number of its table lies as far out."""
+
+    @property
+    def counts(self) -> bool:
+        """Whether it says anything that another number, or the configuration itself, does not."""
+        return self.mark in ("", "multiplicity")
 
     def row(self) -> tuple[object, ...]:
         """The row of verdicts.csv."""
         p = self.printed
         head = (p.table, p.row, p.quantity, p.printed)
-        return (*head, self.ours, self.low, self.high, self.word, self.reason, self.interval)
+        ratio = self.ours / p.value if p.value else _NAN
+        width = (self.high - self.low) / abs(p.value) if p.value else _NAN
+        judged = (self.ours, self.low, self.high, self.word, self.reason, self.interval, ratio, width)
+        power = (self.p, self.flips, self.excluded, self.alternatives, " ".join(map(str, self.runs)))
+        return (*head, *judged, *power, self.mark, self.adjusted, self.group, self.joint)
 
 
 Beside = dict[tuple[int, str], "Verdict"]
@@ -67,21 +131,33 @@ def judge(results: Results) -> tuple[Verdict, ...]:
 
     ConfigError if a cell that the configuration names is not among the printed numbers.
     """
+    if results.plan.experiment.published is None or results.plan.paper is None:
+        return ()
+    power, reasons = power_of(results.plan), reasons_of(results.plan)
+    verdicts = []
+    for verdict in (_with_power(one, power) for one in _with_groups(stand(results), results)):
+        why = next((r.reason for r in reasons if r.covers(results.plan.name, verdict.printed.key)), "")
+        verdicts.append(replace(verdict, reason=why if verdict.word == "differs" else ""))
+    return tuple(verdicts)
+
+
+def stand(results: Results) -> list[Verdict]:
+    """How the numbers stand to the printed ones, by themselves: what may be untestable agrees."""
     published = results.plan.experiment.published
     if published is None or results.plan.paper is None:
-        return ()
-    numbers, reasons = published_of(results.plan), reasons_of(results.plan)
+        return []
+    numbers = published_of(results.plan)
+    seen: set[tuple[int, str, str]] = set()
     verdicts = []
     every = ((cell, *pair) for cell in published.cells for pair in cell.pairs())
     for cell, quantity, metric in every:
         for series in results.select(cell.estimator, metric, cell.at):
             printed = printed_beside(cell, quantity, series.unit.labels, numbers)
-            ours, low, high, interval = _interval(series, cell.statistic, published)
-            word = _word(printed, ours, low, high)
-            why = next((r.reason for r in reasons if r.covers(results.plan.name, printed.key)), "")
-            reason = why if word == "differs" else ""
-            verdicts.append(Verdict(printed, cell, series, ours, low, high, word, reason, interval))
-    return tuple(verdicts)
+            verdict = _judged(printed, cell, series, published)
+            again = (id(series), cell.statistic, printed.printed)
+            verdicts.append(replace(verdict, mark=_mark(verdict, repeated=again in seen)))
+            seen.add(again)
+    return verdicts
 
 
 def frame(verdicts: Sequence[Verdict]) -> pd.DataFrame:
@@ -91,24 +167,263 @@ def frame(verdicts: Sequence[Verdict]) -> pd.DataFrame:
     return pd.DataFrame([verdict.row() for verdict in verdicts], columns=list(COLUMNS))
 
 
-def _word(printed: Printed, ours: float, low: float, high: float) -> Word:
-    # The slack is for a number that stands exactly on a rounding boundary.
-    slack = printed.half_unit * (1 + 1e-9)
-    if abs(ours - printed.value) <= slack:
-        return "exact"
-    return "agrees" if low - slack <= printed.value <= high + slack else "differs"
+def _mark(verdict: Verdict, *, repeated: bool) -> str:
+    if verdict.cell.circular:
+        return "circular"
+    valid = verdict.series.valid
+    if verdict.word == "exact" and len(valid) and np.all(valid == verdict.printed.value):
+        return "structural"
+    return "duplicate" if repeated else ""
+
+
+def _with_power(verdict: Verdict, power: VerdictPower | None) -> Verdict:
+    number = None if power is None else power.numbers.get(verdict.printed.key)
+    # Of a number that has changed since, nothing is known.
+    known = number.excluded if number and number.printed == verdict.printed.printed else {}
+    excluded = sum(known.values())
+    word: Word = "untestable" if verdict.word == "agrees" and not excluded else verdict.word
+    return replace(verdict, word=word, excluded=excluded, alternatives=len(known))
+
+
+def _with_groups(verdicts: Sequence[Verdict], results: Results) -> list[Verdict]:
+    """The verdicts with the p-values of those from the same data, and what is multiplicity."""
+    published = results.plan.experiment.published
+    assert published is not None
+    groups = grouped(verdicts)
+    of_table = Counter(group[0].printed.table for group in groups)
+    found: dict[int, Verdict] = {}
+    for number, group in enumerate(groups):
+        p, adjusted = _NAN, dict.fromkeys(map(id, group), _NAN)
+        if pool := _pool(group, results.plan.trials, published):
+            p = joint_p(pool.rows, pool.printed, pool.half_unit)
+            every = adjusted_p(pool.rows, pool.printed, pool.half_unit) * of_table[group[0].printed.table]
+            adjusted |= zip(map(id, pool.verdicts), np.minimum(every, 1.0).tolist(), strict=True)
+        for one in group:
+            found[id(one)] = replace(one, group=number, joint=p, adjusted=adjusted[id(one)])
+    sound = {name for name in of_table if _table_p(found.values(), name) > LEVEL}
+    return [_with_multiplicity(found[id(verdict)], sound) for verdict in verdicts]
+
+
+def fitting_runs(verdicts: Sequence[Verdict], results: Results) -> dict[str, tuple[int, ...]]:
+    """For each table, and each quantity of it, which of :data:`RUNS` its numbers together permit.
+
+    Empty where the paper says how many runs it averaged.
+    """
+    published = results.plan.experiment.published
+    if published is None or published.paper_trials != "unknown":
+        return {}
+    found: dict[str, tuple[int, ...]] = {}
+    tables = dict.fromkeys(one.printed.table for one in verdicts)
+    columns = dict.fromkeys((one.printed.table, one.printed.quantity) for one in verdicts)
+    parts = {table: [one for one in verdicts if one.printed.table == table] for table in tables}
+    if len(columns) > len(tables):
+        parts |= {
+            f"{table}, {quantity}": [one for one in parts[table] if one.printed.quantity == quantity]
+            for table, quantity in columns
+        }
+    for name, part in parts.items():
+        p = {
+            runs: combined_p(group_p(group, results.plan.trials, published, runs) for group in grouped(part))
+            for runs in RUNS
+        }
+        found[name] = tuple(runs for runs, value in p.items() if value > LEVEL)
+    return found
+
+
+def _table_p(verdicts: Iterable[Verdict], table: str) -> float:
+    """The p-value of a table: that of its groups together, whose data are independent."""
+    return combined_p({one.group: one.joint for one in verdicts if one.printed.table == table}.values())
+
+
+def _with_multiplicity(verdict: Verdict, sound: Container[str]) -> Verdict:
+    """Marked if it differs as some number of a table may that is sound as a whole."""
+    likely = verdict.word == "differs" and not verdict.mark and verdict.adjusted > LEVEL
+    return replace(verdict, mark="multiplicity") if likely and verdict.printed.table in sound else verdict
+
+
+def grouped(verdicts: Iterable[Verdict]) -> list[list[Verdict]]:
+    """The verdicts on numbers of one table from the same data together."""
+    groups: dict[tuple[str, str], list[Verdict]] = {}
+    for verdict in verdicts:
+        groups.setdefault((verdict.printed.table, str(verdict.series.unit.data.key)), []).append(verdict)
+    return list(groups.values())
+
+
+@dataclass(frozen=True)
+class _Pool:
+    """Printed numbers of one group, and the rows that are as likely as theirs."""
+
+    verdicts: Sequence[Verdict]
+    rows: Array
+    printed: Array
+    half_unit: Array
+
+
+def group_p(group: Sequence[Verdict], trials: int, published: Published, runs: int = 1) -> float:
+    """The p-value of numbers from the same data, against the joint distribution of our trials; nan: none.
+
+    Bounds, and what does not count, are left out. Where the paper does not say how many runs it averaged, as
+    many as ``runs`` are taken.
+    """
+    pool = _pool(group, trials, published, runs)
+    return joint_p(pool.rows, pool.printed, pool.half_unit) if pool else _NAN
+
+
+def _pool(group: Sequence[Verdict], trials: int, published: Published, runs: int = 1) -> _Pool | None:
+    group = [one for one in group if one.counts and not one.printed.bound]
+    if not group or is_same_data(published, trials):
+        return None
+    rows = np.stack([one.series.values[:_MOST_ROWS] for one in group], axis=1)
+    rows = rows[np.all(np.isfinite(rows), axis=1)]
+    if len(rows) < 2:
+        return None
+    averaged = runs if published.paper_trials == "unknown" else published.paper_trials
+    if averaged != 1:
+        theirs = None if averaged == "exact" else int(averaged)
+        rows = replicates(rows, [_STATISTICS[one.cell.statistic] for one in group], theirs)
+    printed = np.array([one.printed.value for one in group])
+    return _Pool(group, rows, printed, np.array([one.printed.half_unit for one in group]))
+
+
+_STATISTICS: Mapping[Statistic, Callable[[Array], Array]] = {
+    "mean": lambda values: np.asarray(np.mean(values, axis=-1)),
+    "median": lambda values: np.asarray(np.median(values, axis=-1)),
+    "std": lambda values: np.asarray(np.std(values, axis=-1, ddof=1)),
+}
+
+
+def is_same_data(published: Published, trials: int) -> bool:
+    """Whether the trials are those that the paper ran."""
+    return published.same_data and trials == published.paper_trials
+
+
+@dataclass(frozen=True)
+class _Judgement:
+    ours: float
+    low: float
+    high: float
+    interval: str
+    p: float = _NAN
+    agreement: float = _NAN
+    """How likely the interval of another block of trials holds the printed number."""
+    runs: tuple[int, ...] = field(default=())
 
 
 @np.errstate(all="ignore")
-def _interval(series: Series, statistic: Statistic, published: Published) -> tuple[float, float, float, str]:
+def _judged(printed: Printed, cell: PublishedCells, series: Series, published: Published) -> Verdict:
+    found = _judgement(printed, series, cell.statistic, published)
+    # The slack is for a number that stands exactly on a rounding boundary.
+    slack = printed.half_unit * (1 + 1e-9)
+    word: Word = "agrees" if found.low - slack <= printed.value <= found.high + slack else "differs"
+    if not printed.bound and abs(found.ours - printed.value) <= slack:
+        word = "exact"
+    interval = found.interval
+    if not found.low <= found.ours <= found.high and not math.isnan(found.ours):
+        interval += f"; ours lies outside it, as a {cell.statistic} may that hangs on few trials"
+    flips = found.agreement if word == "differs" else 1.0 - found.agreement
+    return Verdict(
+        printed,
+        cell,
+        series,
+        found.ours,
+        found.low,
+        found.high,
+        word,
+        "",
+        interval,
+        p=found.p,
+        flips=flips,
+        runs=found.runs,
+    )
+
+
+def _judgement(printed: Printed, series: Series, statistic: Statistic, published: Published) -> _Judgement:
     ours, runs = series.value(statistic), published.paper_trials
-    if not len(series.valid):
-        return ours, ours, ours, "no trial succeeded"
+    valid = series.valid
+    if not len(valid):
+        return _Judgement(ours, ours, ours, "no trial succeeded")
+    if is_same_data(published, len(series.values)):
+        said = "none: the trials are the paper's own data, so digits are equal or differ"
+        return _Judgement(ours, ours, ours, said)
     if runs in ("unknown", 1):
-        low, high = np.quantile(series.valid, [0.025, 0.975])
-        why = "the paper ran one" if runs == 1 else "the paper does not say how many runs it averages"
-        return ours, float(low), float(high), f"central 95 % of single trials: {why}"
+        found = _of_single_trials(printed, valid, runs)
+        fitting = _fitting_runs(printed, found, valid, statistic) if runs == "unknown" else ()
+        return replace(found, ours=ours, runs=fitting)
+    return _of_averages(printed, series, statistic, runs)
+
+
+def _of_single_trials(printed: Printed, valid: Array, runs: int | str) -> _Judgement:
+    """Against the distribution of single trials."""
+    from scipy.stats import betabinom
+
+    n, slack = len(valid), printed.half_unit * (1 + 1e-9)
+    below = int(np.sum(valid < printed.value - slack))
+    above = int(np.sum(valid > printed.value + slack))
+    why = "the paper ran one" if runs == 1 else "the paper does not say how many runs it averages"
+    share = LEVEL if printed.bound else LEVEL / 2.0
+    low, high = map(float, np.quantile(valid, [share, 1.0 - share]))
+    interval = f"central 95 % of single trials: {why}"
+    if printed.bound:
+        interval = (
+            f"all but the {'highest' if printed.bound == '>' else 'lowest'} 5 % of single trials: {why}"
+        )
+        low, high = (-math.inf, high) if printed.bound == ">" else (low, math.inf)
+    # Another block finds the number outside if too few of its trials lie on one side of it. How many do so is
+    # beta-binomial, as the share is known from these trials only, with Jeffreys' prior.
+    ties = (n - below - above) / 2.0
+    shape = below + ties + 0.5, above + ties + 0.5
+    too_few = math.floor(share * n)
+    outside = {"<": betabinom.cdf(too_few, n, *shape), ">": betabinom.cdf(too_few, n, *shape[::-1])}
+    beyond = outside[printed.bound] if printed.bound else outside["<"] + outside[">"]
+    tail = {"<": n - above, ">": n - below}.get(printed.bound, 2 * (n - max(below, above)))
+    p = min(1.0, (tail + 1.0) / (n + 1.0))
+    return _Judgement(_NAN, low, high, interval, p, float(min(max(1.0 - beyond, 0.0), 1.0)))
+
+
+def _fitting_runs(
+    printed: Printed, single: _Judgement, valid: Array, statistic: Statistic
+) -> tuple[int, ...]:
+    """The numbers of runs whose statistic may be the printed one."""
+    slack = printed.half_unit * (1 + 1e-9)
+    fitting = []
+    for runs in RUNS:
+        low, high = single.low, single.high
+        if runs > 1:
+            rows = replicates(valid[:_MOST_ROWS, None], [_STATISTICS[statistic]], runs)
+            shares = [LEVEL / 2.0, 1.0 - LEVEL / 2.0]
+            if printed.bound:
+                shares = [0.0, 1.0 - LEVEL] if printed.bound == ">" else [LEVEL, 1.0]
+            low, high = map(float, np.quantile(rows, shares))
+            low, high = (-math.inf if shares[0] == 0.0 else low, math.inf if shares[1] == 1.0 else high)
+        if low - slack <= printed.value <= high + slack:
+            fitting.append(runs)
+    return tuple(fitting)
+
+
+def _of_averages(printed: Printed, series: Series, statistic: Statistic, runs: int | str) -> _Judgement:
+    """Against the distribution of a statistic over so many runs."""
+    from scipy.special import ndtr
+
+    ours, error = series.value(statistic), series.standard_error(statistic)
     theirs = 0.0 if runs == "exact" else len(series.valid) / float(runs)
-    reach = 3.0 * series.standard_error(statistic) * (1.0 + theirs) ** 0.5
+    both = error * (1.0 + theirs) ** 0.5
+    reach = 3.0 * both
+    side = {"<": "-", ">": "+"}.get(printed.bound, "+-")
     source = "a formula" if runs == "exact" else f"{runs} runs"
-    return ours, ours - reach, ours + reach, f"{statistic} +- 3 standard errors; the paper: {source}"
+    interval = f"{statistic} {side} 3 standard errors; the paper: {source}"
+    low = -math.inf if printed.bound == ">" else ours - reach
+    high = math.inf if printed.bound == "<" else ours + reach
+    # How far ours lies on the wrong side, and where it would have to lie.
+    above, below = ours - printed.value, printed.value - ours
+    away = {"<": above, ">": below}.get(
+        printed.bound, max(above, below, printed.half_unit) - printed.half_unit
+    )
+    tails = 1.0 if printed.bound else 2.0
+    p = tails * ndtr(-away / both) if both else float(away <= 0.0)
+    if not error:
+        return _Judgement(ours, low, high, interval, float(min(p, 1.0)), float(away <= 0.0))
+    # Another block's statistic differs from ours by the errors of both.
+    slack, spread = reach + printed.half_unit, error * 2.0**0.5
+    too_high = 0.0 if printed.bound == ">" else ndtr((ours - printed.value - slack) / spread)
+    too_low = 0.0 if printed.bound == "<" else ndtr((printed.value - slack - ours) / spread)
+    return _Judgement(ours, low, high, interval, float(min(p, 1.0)), float(1.0 - too_high - too_low))

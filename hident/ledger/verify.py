@@ -1,39 +1,68 @@
-"""The state of the ledger: every printed number judged, and every difference explained."""
+"""The state of the ledger: numbers judged, differences explained, and what verdicts can tell."""
 
 from __future__ import annotations
 
 import csv
+import math
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from hident.config.suggest import one_of
-from hident.engine.run_files import RUN, VERDICTS
+from hident.engine.run_files import MUTATIONS, NUMBERS, POWER, RUN, VERDICTS
 from hident.errors import ConfigError, NothingToCompare
+from hident.ledger.joint import combined_p
+from hident.ledger.power import VerdictPower, without_reports
 from hident.ledger.published import Key, Reason, read_published, read_reasons
-from hident.ledger.verdicts import Word
+from hident.ledger.verdicts import COLUMNS, Word
 from hident.run_folder import RunFolder
 
-_COLUMNS = ("table", "row", "quantity", "printed", "ours", "verdict")
+
+@dataclass(frozen=True)
+class TableState:
+    """What the verdicts on one table of a paper amount to, in one configuration."""
+
+    config: str
+    table: str
+    counts: dict[str, int]
+    """How many of its printed numbers came out how; those that do not count are left out."""
+    uncounted: dict[str, int]
+    """How many do not count, and why."""
+    joint_p: float
+    """How likely a paper of the same experiment prints numbers as far out together; nan: not known."""
+    rejected: int
+    tried: int
+    """The mutation score: how many alternatives the table rejects, and how many were tried."""
+    survivors: tuple[str, ...]
+    """The alternatives that it does not reject."""
+
+    def plain(self) -> dict[str, Any]:
+        """As data for JSON."""
+        return {**vars(self), "joint_p": None if math.isnan(self.joint_p) else self.joint_p}
 
 
 @dataclass(frozen=True)
 class Verification:
     """What the verdicts in a folder of results amount to."""
 
-    counts: dict[str, dict[str, int]]
-    """For each configuration, how many printed numbers came out how."""
+    tables: tuple[TableState, ...]
+    """The tables of all configurations."""
     unexplained: tuple[str, ...]
     """Differences that no reason covers."""
     unjudged: tuple[str, ...]
     """Printed numbers of the papers that no configuration's verdicts hold."""
     idle: tuple[str, ...]
     """Reasons that cover no difference."""
+    stale: tuple[str, ...]
+    """Configurations whose alternatives were run for what is not there any more."""
 
 
-def verify(folder: Path, experiments: Path) -> Verification:
+def verify(folder: Path, experiments: Path, results: Path | None = None) -> Verification:
     """Check the verdicts of all configurations in ``folder`` against today's reasons.
+
+    What is known of alternatives is in ``folder``, else in ``results``, if accepted ones are named.
 
     NothingToCompare if the folder holds no verdicts. ConfigError if a file of the ledger cannot be read, or
     the verdicts of a run are gone or not as it wrote them.
@@ -41,15 +70,20 @@ def verify(folder: Path, experiments: Path) -> Verification:
     found = list(filter(_is_judged, sorted(folder.glob("*")))) or list(filter(_is_judged, [folder]))
     if not found:
         raise NothingToCompare(f"{folder} holds no verdicts.csv: run a configuration with 'published:' first")
-    counts: dict[str, dict[str, int]] = {}
+    tables: list[TableState] = []
     unexplained: list[str] = []
+    stale: list[str] = []
     judged: dict[str, set[Key]] = {}
     used: set[tuple[str, int]] = set()
-    for results in found:
-        config, paper = _origin(results)
+    configs: list[str] = []
+    for run in found:
+        config, paper, resolved = _origin(run)
+        configs.append(config)
         reasons = read_reasons(experiments / paper)
-        rows = _verdicts(results)
-        counts[config] = dict(Counter(row["verdict"] for row in rows))
+        rows = _verdicts(run)
+        power, said = _power(filter(None, (folder, results)), config, resolved)
+        stale += [f"{config}: {line}" for line in said]
+        tables += _tables(config, rows, power)
         for row in rows:
             key = (row["table"], row["row"], row["quantity"])
             judged.setdefault(paper, set()).add(key)
@@ -66,9 +100,65 @@ def verify(folder: Path, experiments: Path) -> Verification:
         missing = [key for key in read_published(experiments / paper) if key not in keys]
         unjudged += [f"{paper}: {' / '.join(key)}" for key in missing]
         for i, reason in enumerate(read_reasons(experiments / paper)):
-            if (paper, i) not in used and (reason.config == "*" or reason.config in counts):
+            if (paper, i) not in used and (reason.config == "*" or reason.config in configs):
                 idle.append(f"{paper}: {reason.reason}")
-    return Verification(counts, tuple(unexplained), tuple(unjudged), tuple(idle))
+    return Verification(tuple(tables), tuple(unexplained), tuple(unjudged), tuple(idle), tuple(stale))
+
+
+def _tables(config: str, rows: Sequence[dict[str, str]], power: VerdictPower | None) -> list[TableState]:
+    found = []
+    for table in dict.fromkeys(row["table"] for row in rows):
+        of_table = [row for row in rows if row["table"] == table]
+        counted = [row for row in of_table if row["mark"] in ("", "multiplicity")]
+        groups = {row["group"]: _number(row["joint_p"]) for row in of_table}
+        rejected, tried = power.score(table) if power else (0, 0)
+        survivors = [
+            one.alternative
+            for one in (power.mutations if power else ())
+            if one.table == table and not one.rejected
+        ]
+        found.append(
+            TableState(
+                config,
+                table,
+                dict(Counter(row["verdict"] for row in counted)),
+                dict(Counter(row["mark"] for row in of_table if row not in counted)),
+                combined_p(groups.values()),
+                rejected,
+                tried,
+                tuple(survivors),
+            )
+        )
+    return found
+
+
+def _power(folders: Iterable[Path], config: str, resolved: Any) -> tuple[VerdictPower | None, list[str]]:
+    """What is known of a configuration's alternatives, and what is wrong with it."""
+    if not resolved.get("alternatives"):
+        return None, []
+    for folder in (folder / POWER / config for folder in folders):
+        run = RunFolder(folder)
+        if not run.finished:
+            continue
+        if run.altered():
+            return None, [f"{folder} was altered since it was written: hident power {config}"]
+        try:
+            found = VerdictPower.decoded((folder / NUMBERS).read_bytes(), (folder / MUTATIONS).read_bytes())
+        except (OSError, ValueError) as error:
+            return None, [f"{folder} cannot be read ({error}): hident power {config}"]
+        match run.run():
+            case {"experiment": {"hash": known}} if known == without_reports(resolved):
+                return found, []
+        return found, [f"its alternatives were run for another configuration: hident power {config}"]
+    return None, [f"its alternatives were not run: hident power {config}"]
+
+
+def _number(text: str) -> float:
+    """A number of verdicts.csv; nan if it is none, as where there is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def _covering(reasons: tuple[Reason, ...], config: str, key: Key) -> int | None:
@@ -86,10 +176,11 @@ def _is_judged(folder: Path) -> bool:
     return run is None and results.finished
 
 
-def _origin(folder: Path) -> tuple[str, str]:
+def _origin(folder: Path) -> tuple[str, str, dict[str, Any]]:
+    """The configuration of a run, its paper, and the configuration as run.json holds it."""
     match RunFolder(folder).run():
-        case {"experiment": {"config": config, "resolved": {"paper": paper}}}:
-            return str(config), str(paper)
+        case {"experiment": {"config": config, "resolved": {"paper": paper} as resolved}}:
+            return str(config), str(paper), dict(resolved)
     raise ConfigError(f"{folder / RUN} is not that of a run for a paper: run the configuration again")
 
 
@@ -105,7 +196,7 @@ def _verdicts(folder: Path) -> list[dict[str, str]]:
         raise ConfigError(f"{path} cannot be read ({error}): run the configuration again") from None
     if not rows:
         raise ConfigError(f"{path} holds no verdict: run the configuration again")
-    if any(row.get(name) is None for row in rows for name in _COLUMNS):
+    if any(row.get(name) is None for row in rows for name in COLUMNS):
         raise ConfigError(f"{path} lacks columns: run the configuration again")
     allowed = get_args(Word)
     if unknown := [row["verdict"] for row in rows if row["verdict"] not in allowed]:

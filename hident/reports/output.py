@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import platform
 import subprocess
 import sys
@@ -13,21 +14,23 @@ from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, get_args
 
 import hident
 from hident import arithmetic
 from hident.config.load import Problem
 from hident.config.spec import canonical
+from hident.config.suggest import one_of
 from hident.engine.experiment import Plan
 from hident.engine.fingerprint import code
 from hident.engine.results import Results
 from hident.engine.run_files import PAGE, TABLE, TRIALS, VERDICTS, figure_file, table_file
 from hident.engine.trial import digest
 from hident.errors import TrialFailed
+from hident.ledger.power import VerdictPower, power_of, without_reports
 from hident.ledger.published import PUBLISHED, REASONS
 from hident.ledger.trial_values import TrialValues
-from hident.ledger.verdicts import Verdict, frame, judge
+from hident.ledger.verdicts import LEVEL, RUNS, Verdict, Word, fitting_runs, frame, judge
 from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, misfits
 from hident.reports.scoring import scoring
 from hident.reports.style import style, typeset
@@ -46,7 +49,7 @@ class Outputs:
     @cached_property
     def key(self) -> str:
         """Hash of everything that the files depend on, with the paper's files as the plan knows them."""
-        experiment = self.plan.experiment
+        experiment, power = self.plan.experiment, power_of(self.plan)
         return digest(
             {
                 "units": self.plan.keys,
@@ -56,6 +59,7 @@ class Outputs:
                     content and hashlib.sha256(content).hexdigest()
                     for content in map(self.plan.paper_file, (PUBLISHED, REASONS))
                 ],
+                "power": power and power.files(),
                 "code": code(["hident.reports.output", *_modules(experiment.tables, experiment.figures)]),
                 "libraries": [version(name) for name in _PACKAGES],
             }
@@ -111,6 +115,49 @@ class Outputs:
         )
 
 
+def write_power(plan: Plan, power: VerdictPower, folder: Path, run: Mapping[str, Any]) -> None:
+    """Write what the printed numbers of a plan make of its alternatives, and run.json.
+
+    StoreError if the folder cannot be written.
+    """
+    texts = {**power.files(), PAGE: power_page(plan, power)}
+    with RunFolder(folder).renewed() as new:
+        for name, text in texts.items():
+            new.write_text(name, text)
+        new.seal(
+            {
+                "experiment": {
+                    "config": plan.name,
+                    "seed": plan.seed,
+                    "hash": without_reports(plan.experiment),
+                },
+                "files": sorted(texts),
+                "provenance": {**_provenance(plan), **run},
+            }
+        )
+
+
+def power_page(plan: Plan, power: VerdictPower) -> str:
+    """What each table makes of each alternative, in words."""
+    parts = [f"# {plan.experiment.title}", "What the printed numbers make of the alternatives."]
+    for table in dict.fromkeys(one.table for one in power.mutations):
+        found = [one for one in power.mutations if one.table == table]
+        rejected, tried = power.score(table)
+        rows = tuple(
+            (
+                one.alternative,
+                f"{one.excluding} of {one.numbers}",
+                "-" if math.isnan(one.joint_p) else written(one.joint_p, 2),
+                "rejected" if one.rejected else "survives",
+            )
+            for one in found
+        )
+        header = ("alternative", "numbers that exclude it", "joint p", "the table")
+        title = f"{table}: mutation score {rejected} of {tried}"
+        parts.append(Table(title, header, rows).markdown())
+    return "\n\n".join(parts) + "\n"
+
+
 def check(plan: Plan) -> None:
     """Check that every table and figure can show this plan.
 
@@ -144,9 +191,10 @@ def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str,
         parts.append(_plain_table(results).markdown())
     if verdicts:
         words = [verdict.word for verdict in verdicts]
-        counts = ", ".join(f"{words.count(word)} {word}" for word in ("exact", "agrees", "differs"))
+        counts = ", ".join(f"{words.count(word)} {word}" for word in get_args(Word) if word in words)
         parts.append(f"Printed numbers: {len(words)}, of which {counts}.")
         parts += _differences(verdicts)
+        parts += _runs(verdicts, results)
     return "\n\n".join(parts) + "\n"
 
 
@@ -184,6 +232,18 @@ def _differences(verdicts: Sequence[Verdict]) -> list[str]:
         )
         for reason in dict.fromkeys(verdict.reason for verdict in differing)
     ]
+
+
+def _runs(verdicts: Sequence[Verdict], results: Results) -> list[str]:
+    """How many runs the paper may have averaged that does not say it."""
+    found = fitting_runs(verdicts, results)
+    lines = [
+        f"- {name}: {', '.join(map(str, runs)) if runs else 'none of them'}" for name, runs in found.items()
+    ]
+    head = (
+        f"Of means of {one_of(map(str, RUNS))} runs, the numbers together permit (joint p above {LEVEL:g}):"
+    )
+    return ["\n".join([head, "", *lines])] if lines else []
 
 
 def _write_tables(results: Results, verdicts: Sequence[Verdict], folder: RunFolder) -> list[str]:

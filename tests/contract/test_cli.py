@@ -34,6 +34,7 @@ _VERBS = (
     "list",
     "validate",
     "run",
+    "power",
     "status",
     "compare",
     "accept",

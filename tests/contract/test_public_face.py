@@ -35,12 +35,23 @@ WITH_EXAMPLES = [
 ]
 # These are about a whole run and its files: the examples of identify and run show the first three,
 # docs/python.md the verbs, and configs/ has every table and figure. Exceptions are raised by hident alone.
-NO_EXAMPLE = {"Experiment", "Identification", "Results", "compare", "examine", "status", "verify", "write"}
+NO_EXAMPLE = {
+    "Experiment",
+    "Identification",
+    "Results",
+    "compare",
+    "examine",
+    "power",
+    "status",
+    "verify",
+    "write",
+}
 # What does from Python what a verb does; results/ is changed from the command line alone.
 COUNTERPARTS = {
     "list": "list_components",
     "validate": "validate",
     "run": "run",
+    "power": "power",
     "status": "status",
     "compare": "compare",
     "accept": None,

@@ -1,15 +1,22 @@
 """Alternatives: the same experiment with one thing changed."""
 
+from typing import Any
+
+import numpy as np
 import pytest
 
 from hident import plugins
 from hident.engine.alternatives import alternative_plan, check_alternatives
 from hident.engine.experiment import load
+from hident.engine.results import Results, Series
+from hident.engine.runner import run
 from hident.errors import ConfigError
+from hident.ledger.mutation import measured
+from hident.ledger.power import VerdictPower
 from tests.unit.results_maker import CONFIG, PUBLISHED
 
 
-def plan_with(folder, alternatives, *, trials=20):
+def plan_with(folder, alternatives, *, trials=20) -> Any:
     plugins.load()
     (folder / "configs").mkdir()
     paper = folder / "experiments" / "someone2001"
@@ -25,7 +32,7 @@ def plan_with(folder, alternatives, *, trials=20):
 
 def test_an_alternative_holds_what_it_changes_and_what_is_judged(tmp_path):
     plan = plan_with(tmp_path, "{pole: {system.linear.a: [0.9]}, more: {estimators.two.bandwidth.h0: 2}}")
-    found = alternative_plan(plan, "pole", 7)
+    found: Any = alternative_plan(plan, "pole", 7)
     assert [(unit.name, unit.labels["samples"]) for unit in found.units] == [
         ("one", 10),
         ("one", 100),
@@ -43,7 +50,8 @@ def test_an_alternative_holds_what_it_changes_and_what_is_judged(tmp_path):
 
 def test_a_star_stands_for_every_entry_that_holds_the_rest(tmp_path):
     plan = plan_with(tmp_path, "{h: {estimators.*.bandwidth.h0: 2}, at: {metrics.*.interval: [-1, 0]}}")
-    assert {unit.estimator.bandwidth.h0 for unit in alternative_plan(plan, "h").units} == {2.0}
+    found: Any = alternative_plan(plan, "h")
+    assert {unit.estimator.bandwidth.h0 for unit in found.units} == {2.0}
     assert len(alternative_plan(plan, "at").units) == 3
 
 
@@ -54,7 +62,7 @@ def test_an_alternative_comes_after_the_cases(tmp_path):
 
 def test_another_statistic_is_an_alternative_too(tmp_path):
     plan = plan_with(tmp_path, "{median: {statistic: median}, same: {statistic: mean}}")
-    found = alternative_plan(plan, "median", 5)
+    found: Any = alternative_plan(plan, "median", 5)
     assert {cell.statistic for cell in found.experiment.published.cells} == {"median"}
     assert found.keys == plan.keys
     with pytest.raises(ConfigError, match="is the statistic of every number"):
@@ -82,3 +90,46 @@ def test_what_cannot_be_run_is_said(tmp_path, alternatives, said):
 def test_an_alternative_must_set_something(tmp_path):
     with pytest.raises(ConfigError, match=r"alternatives\.a: must set values by their key path"):
         plan_with(tmp_path, "{a: }")
+
+
+def test_numbers_and_tables_are_held_against_each_alternative(tmp_path):
+    plan = plan_with(
+        tmp_path,
+        "{near: {system.linear.a: [0.50001]}, "
+        "far: {system.nonlinearity: {kind: polynomial, coefficients: [0, 100]}}}",
+        trials=60,
+    )
+    means = {series.unit.labels["samples"]: series.value("mean") for series in run(plan).select("one")}
+    text = "".join(f"T,N={n},error,{mean:.6g},\n" for n, mean in means.items())
+    (tmp_path / "experiments" / "someone2001" / "published.csv").write_text(
+        "table,row,quantity,printed,note\n" + text
+    )
+    plan = load(plan.path)
+    asked = []
+
+    def results(name, alternative):
+        asked.append((name, alternative.trials))
+        return run(alternative)
+
+    power = measured(plan, results, 30)
+    assert asked == [("near", 30), ("far", 30)]
+    assert {key[1]: number.excluded for key, number in power.numbers.items()} == {
+        f"N={n}": {"near": False, "far": True} for n in (10, 100, 1000)
+    }
+    near, far = power.mutations
+    assert (near.alternative, near.rejected, near.excluding) == ("near", False, 0)
+    assert (far.alternative, far.rejected, far.excluding, far.numbers) == ("far", True, 3, 3)
+    assert power.score("T") == (1, 2)
+    assert VerdictPower.decoded(*(text.encode() for text in power.files().values())) == power
+
+
+def test_a_table_is_rejected_where_every_estimate_fails(tmp_path):
+    plan = plan_with(tmp_path, "{x: {system.linear.a: [0.9]}}")
+
+    def failing(name, alternative):
+        found = run(alternative)
+        series = tuple(Series(one.unit, one.metric, one.values * np.nan) for one in found.series)
+        return Results(alternative, series)
+
+    (mutation,) = measured(plan, failing).mutations
+    assert mutation.rejected

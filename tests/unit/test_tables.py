@@ -58,7 +58,7 @@ def test_printed_numbers_stand_beside_ours_with_their_verdict(tmp_path):
     rest = GRID + PUBLISHED.format(runs=1, statistic="mean")
     table = built(made(tmp_path, values, rest=rest, printed=numbers))
     assert table.header == ("N", "one", "printed", "two")
-    assert [row[2] for row in table.rows] == ["2.0 =", "1.5 ~", "1.0 ="]
+    assert [row[2] for row in table.rows] == ["2.0 =", "1.5 ?", "1.0 ="]
     assert "Interval: central 95 % of single trials: the paper ran one." in table.notes
 
 

@@ -4,19 +4,21 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from hident.engine.results import Results, Series
 from hident.errors import ConfigError
-from hident.ledger.verdicts import COLUMNS, frame, judge
+from hident.ledger.power import NumberPower, VerdictPower
+from hident.ledger.verdicts import COLUMNS, frame, judge, stand
 from tests.unit.results_maker import PUBLISHED, made
 
 TRIALS = np.random.default_rng(5).normal(10.0, 1.0, 400)
 
 
-def judged(tmp_path, printed, *, runs="unknown", statistic="mean", values=TRIALS, reasons=""):
+def judged(tmp_path, printed, *, runs="unknown", statistic="mean", values=TRIALS, reasons="", more=""):
     numbers = "".join(f"T,N={n},error,{printed},\n" for n in (10, 100, 1000))
     results = made(
         tmp_path,
         {("one", "10"): values},
-        rest=PUBLISHED.format(runs=runs, statistic=statistic),
+        rest=PUBLISHED.format(runs=runs, statistic=statistic) + more,
         printed=numbers,
         reasons=reasons,
     )
@@ -26,7 +28,7 @@ def judged(tmp_path, printed, *, runs="unknown", statistic="mean", values=TRIALS
 def test_exact_is_rounding_to_the_printed_digits(tmp_path):
     mean = float(TRIALS.mean())
     assert judged(tmp_path, f"{mean:.3f}").word == "exact"
-    assert judged(tmp_path, f"{mean + 0.0006:.3f}").word == "agrees"
+    assert judged(tmp_path, f"{mean + 0.0006:.3f}").word == "untestable"
 
 
 def test_a_number_on_the_rounding_boundary_is_exact(tmp_path):
@@ -38,7 +40,7 @@ def test_single_trials_make_the_interval_where_the_number_of_runs_is_unknown(tmp
     verdict = judged(tmp_path, "11.5")
     low, high = np.quantile(TRIALS, [0.025, 0.975])
     assert (verdict.low, verdict.high) == (low, high)
-    assert verdict.word == "agrees"
+    assert verdict.word == "untestable"
     assert verdict.interval == (
         "central 95 % of single trials: the paper does not say how many runs it averages"
     )
@@ -87,3 +89,119 @@ def test_the_frame_has_the_columns_of_verdicts_csv(tmp_path):
     assert tuple(table.columns) == COLUMNS
     assert list(table["verdict"]) == ["exact"] * 3
     assert list(table["printed"]) == ["1.0"] * 3
+
+
+def test_a_number_agrees_that_some_alternative_would_not_give(tmp_path):
+    folder = tmp_path / "results" / "power" / "some"
+    folder.mkdir(parents=True)
+    more = "alternatives: {x: {system.linear.a: [0.9]}, y: {system.linear.a: [0.8]}}\n"
+
+    def with_power(printed, **excluded):
+        power = VerdictPower({("T", "N=10", "error"): NumberPower(printed, excluded)}, ())
+        for name, text in power.files().items():
+            (folder / name).write_text(text)
+        return judged(tmp_path, "11.5", more=more)
+
+    found = with_power("11.5", x=True, y=False)
+    assert (found.word, found.excluded, found.alternatives) == ("agrees", 1, 2)
+    assert with_power("11.5", x=False, y=False).word == "untestable"
+    # What was said of another printed number says nothing of this one.
+    assert with_power("11.6", x=True, y=True).alternatives == 0
+    (folder / "numbers.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(ConfigError, match="accepted results of its alternatives cannot be read"):
+        judged(tmp_path, "11.5", more=more)
+
+
+def test_of_the_papers_own_data_digits_are_equal_or_differ(tmp_path):
+    mean = float(TRIALS.mean())
+
+    def same(printed, values=TRIALS):
+        rest = PUBLISHED.format(runs=400, statistic="mean").replace(
+            "published:", "published:\n  same_data: true"
+        )
+        numbers = "".join(f"T,N={n},error,{printed},\n" for n in (10, 100, 1000))
+        return judge(made(tmp_path, {("one", "10"): values}, rest=rest, printed=numbers))[0]
+
+    assert same(f"{mean:.4f}").word == "exact"
+    off = same(f"{mean + 0.0002:.4f}")
+    assert (off.word, off.low, off.high) == ("differs", mean, mean)
+    assert "the paper's own data" in off.interval
+    assert np.isnan(off.joint)
+    # Of fewer trials than the paper ran, its mean is another one.
+    assert same(f"{TRIALS[:200].mean() + 0.0002:.4f}", TRIALS[:200]).word == "untestable"
+
+
+@pytest.mark.parametrize("runs", [1, 25, "exact"])
+def test_a_bound_is_judged_on_its_own_side(tmp_path, runs):
+    assert judged(tmp_path, "<8", runs=runs).word == "differs"
+    below = judged(tmp_path, "<30", runs=runs)
+    assert (below.word, below.high, below.p > 0.5) == ("untestable", np.inf, True)
+    above = judged(tmp_path, ">0", runs=runs)
+    assert (above.word, above.low) == ("untestable", -np.inf)
+    assert judged(tmp_path, ">13", runs=runs).word == "differs"
+    assert below.flips == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_bound_that_one_trial_in_twenty_keeps_is_not_excluded(tmp_path):
+    q05 = float(np.quantile(TRIALS, 0.05))
+    assert judged(tmp_path, f"<{q05 + 0.01:.4f}", runs=1).word == "untestable"
+    assert judged(tmp_path, f"<{q05 - 0.01:.4f}", runs=1).word == "differs"
+
+
+@pytest.mark.parametrize("runs", [1, 25])
+def test_flips_are_how_often_another_block_decides_otherwise(tmp_path, runs):
+    rng = np.random.default_rng(7)
+    edge = 1.96 if runs == 1 else 3 * (1 / 25 + 1 / 400) ** 0.5
+    rest = PUBLISHED.format(runs=runs, statistic="mean")
+    numbers = "".join(f"T,N={n},error,0.000,\n" for n in (10, 100, 1000))
+    results = made(tmp_path, {("one", "10"): TRIALS}, rest=rest, printed=numbers)
+
+    def of_a_block(truth):
+        series = Series(results.series[0].unit, "mise", rng.normal(truth, 1.0, 400))
+        return stand(Results(results.plan, (series,)))[0]
+
+    said, done = [], []
+    for truth in edge * np.linspace(0.8, 1.2, 200):
+        one, another = of_a_block(truth), of_a_block(truth)
+        said.append(one.flips)
+        done.append((one.word == "differs") != (another.word == "differs"))
+    assert 0.05 < np.mean(said) < 0.35
+    assert np.mean(done) == pytest.approx(np.mean(said), abs=0.08)
+
+
+@pytest.mark.parametrize(
+    ("printed", "runs"), [("10.0", (1, 10, 100)), ("10.5", (1, 10)), ("11.5", (1,)), ("20", ())]
+)
+def test_the_numbers_of_runs_that_a_number_permits(tmp_path, printed, runs):
+    assert judged(tmp_path, printed).runs == runs
+    assert judged(tmp_path, printed, runs=1).runs == ()
+
+
+def test_a_mean_outside_its_own_interval_is_said(tmp_path):
+    values = np.append(np.ones(199), 1e6)
+    assert "ours lies outside it" in judged(tmp_path, "1.0", values=values).interval
+
+
+def test_what_does_not_count_is_marked(tmp_path):
+    zero = judged(tmp_path, "0.000", values=np.zeros(20))
+    assert (zero.word, zero.mark, zero.counts) == ("exact", "structural", False)
+    rest = PUBLISHED.format(runs=1, statistic="mean") + "      circular: true\n"
+    numbers = "".join(f"T,N={n},error,1,\n" for n in (10, 100, 1000))
+    assert {v.mark for v in judge(made(tmp_path, {}, rest=rest, printed=numbers))} == {"circular"}
+
+
+def test_one_of_many_cells_is_multiplicity_where_the_table_is_sound(tmp_path):
+    rng = np.random.default_rng(8)
+    values = {("one", str(n)): rng.normal(size=400) for n in (10, 100, 1000)}
+
+    def marks(*printed):
+        numbers = "".join(f"T,N={n},error,{p},\n" for n, p in zip((10, 100, 1000), printed, strict=True))
+        found = judge(
+            made(tmp_path, values, rest=PUBLISHED.format(runs=1, statistic="mean"), printed=numbers)
+        )
+        return [(verdict.word == "differs", verdict.mark) for verdict in found]
+
+    assert marks("2.15", "0.5", "-0.5")[0] == (True, "multiplicity")
+    assert marks("9", "0.5", "-0.5")[0] == (True, "")
+    # Each by itself might be chance, and the three together are not.
+    assert marks("2.3", "2.3", "2.3")[0] == (True, "")

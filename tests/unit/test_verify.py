@@ -5,8 +5,33 @@ import json
 import pytest
 
 from hident.errors import ConfigError, NothingToCompare
+from hident.ledger.joint import combined_p
+from hident.ledger.power import Mutation, NumberPower, VerdictPower, without_reports
+from hident.ledger.verdicts import COLUMNS
 from hident.ledger.verify import verify
 from hident.run_folder import RunFolder
+
+HEADER = ",".join(COLUMNS) + "\n"
+
+
+def row(verdict, *, number="a", mark="", group=0, p=""):
+    """A line of verdicts.csv."""
+    cells = dict.fromkeys(COLUMNS, "") | {
+        "table": "T",
+        "row": number,
+        "quantity": "q",
+        "printed": "1",
+        "ours": "3",
+        "verdict": verdict,
+        "mark": mark,
+        "group": str(group),
+        "joint_p": str(p),
+    }
+    return ",".join(cells.values()) + "\n"
+
+
+def counts(found):
+    return {table.config: table.counts for table in found.tables}
 
 
 @pytest.fixture
@@ -18,14 +43,13 @@ def folders(tmp_path):
     results = tmp_path / "out" / "c"
     results.mkdir(parents=True)
     (results / "run.json").write_text(json.dumps({"experiment": {"config": "c", "resolved": {"paper": "p"}}}))
-    header = "table,row,quantity,printed,ours,low,high,verdict,reason,interval\n"
-    (results / "verdicts.csv").write_text(header + "T,a,q,1,3,2,4,differs,,i\n")
+    (results / "verdicts.csv").write_text(HEADER + row("differs"))
     return tmp_path
 
 
 def test_a_difference_needs_a_reason_and_every_number_a_verdict(folders):
     found = verify(folders / "out", folders / "experiments")
-    assert found.counts == {"c": {"differs": 1}}
+    assert counts(found) == {"c": {"differs": 1}}
     assert found.unexplained == ("c: T / a / q: printed 1, ours 3",)
     assert found.unjudged == ("p: T / b / q",)
     assert found.idle == ()
@@ -40,7 +64,7 @@ def test_todays_reasons_count(folders):
 
 
 def test_one_configuration_alone_can_be_verified(folders):
-    assert verify(folders / "out" / "c", folders / "experiments").counts == {"c": {"differs": 1}}
+    assert counts(verify(folders / "out" / "c", folders / "experiments")) == {"c": {"differs": 1}}
 
 
 def sealed(folder, **run):
@@ -50,14 +74,11 @@ def sealed(folder, **run):
     RunFolder(folder).seal(run)
 
 
-HEADER = "table,row,quantity,printed,ours,low,high,verdict,reason,interval\n"
-
-
-@pytest.mark.parametrize("text", [HEADER + "T,a,q,1,3,2,4,agrees,,i\n", HEADER, "", None])
+@pytest.mark.parametrize("text", [HEADER + row("agrees"), HEADER, "", None])
 def test_verdicts_that_were_altered_since_the_run_are_refused(folders, text):
     file = folders / "out" / "c" / "verdicts.csv"
     sealed(file.parent)
-    assert verify(folders / "out", folders / "experiments").counts == {"c": {"differs": 1}}
+    assert counts(verify(folders / "out", folders / "experiments")) == {"c": {"differs": 1}}
     if text is None:
         file.unlink()
     else:
@@ -83,24 +104,24 @@ def test_a_configuration_whose_verdicts_are_missing_is_refused_beside_others(fol
     other = folders / "out" / "d"
     other.mkdir()
     (other / "run.json").write_text(json.dumps({"experiment": {"config": "d", "resolved": {}}}))
-    assert verify(folders / "out", folders / "experiments").counts == {"c": {"differs": 1}}
+    assert counts(verify(folders / "out", folders / "experiments")) == {"c": {"differs": 1}}
     (other / "run.json").write_text(json.dumps(said))
     with pytest.raises(ConfigError, match=r"out/d/.*: run the configuration again"):
         verify(folders / "out", folders / "experiments")
 
 
 @pytest.mark.parametrize(
-    ("row", "said"),
+    ("line", "said"),
     [
-        ("T,a,q,1,3,2,4,bogus,,i\n", "holds the verdict 'bogus' (allowed: exact, agrees, differs)"),
-        ("T,a,q,1,3,2,4,agr", "holds the verdict 'agr' (allowed: exact, agrees, differs)"),
+        (row("bogus"), "holds the verdict 'bogus' (allowed: exact, agrees, untestable, differs)"),
+        (row("agr"), "holds the verdict 'agr' (allowed: exact, agrees, untestable, differs)"),
         ("T,a,q,1,3", "lacks columns"),
         ("", "holds no verdict"),
     ],
 )
-def test_what_is_no_verdict_is_refused(folders, row, said):
+def test_what_is_no_verdict_is_refused(folders, line, said):
     file = folders / "out" / "c" / "verdicts.csv"
-    file.write_text(HEADER + row)
+    file.write_text(HEADER + line)
     with pytest.raises(ConfigError) as caught:
         verify(folders / "out", folders / "experiments")
     assert str(caught.value) == f"{file} {said}: run the configuration again"
@@ -118,3 +139,50 @@ def test_unreadable_files_are_named(folders, name, text):
     (folders / "out" / "c" / name).write_text(text)
     with pytest.raises(ConfigError, match=rf"{name} .*: run the configuration again"):
         verify(folders / "out", folders / "experiments")
+
+
+def test_a_table_has_its_p_and_what_does_not_count_is_left_out(folders):
+    lines = [
+        row("exact", mark="structural"),
+        row("agrees", p=0.01),
+        row("untestable", p=0.01),
+        row("differs", mark="multiplicity", group=1, p=0.5),
+    ]
+    (folders / "out" / "c" / "verdicts.csv").write_text(HEADER + "".join(lines))
+    (table,) = verify(folders / "out", folders / "experiments").tables
+    assert (table.counts, table.uncounted) == (
+        {"agrees": 1, "untestable": 1, "differs": 1},
+        {"structural": 1},
+    )
+    assert table.joint_p == pytest.approx(combined_p([0.01, 0.5]))
+    assert (table.rejected, table.tried) == (0, 0)
+
+
+def powered(folder, resolved, *, alternatives=("x", "y")):
+    """A folder of the alternatives of configuration c, as `hident power` writes it."""
+    mutations = [Mutation("T", name, 1, 0, 0.5, name == "x") for name in alternatives]
+    power = VerdictPower({("T", "a", "q"): NumberPower("1", {"x": True})}, tuple(mutations))
+    folder = folder / "power" / "c"
+    folder.mkdir(parents=True)
+    for name, text in power.files().items():
+        (folder / name).write_text(text)
+    experiment = {"config": "c", "hash": without_reports(resolved)}
+    RunFolder(folder).seal({"experiment": experiment, "files": [*power.files()], "provenance": {}})
+
+
+def test_the_mutation_score_is_that_of_the_accepted_alternatives_of_the_same_configuration(folders):
+    resolved = {"paper": "p", "alternatives": {"x": {}, "y": {}}, "title": "a"}
+    run = folders / "out" / "c" / "run.json"
+    run.write_text(json.dumps({"experiment": {"config": "c", "resolved": resolved}}))
+
+    def found():
+        return verify(folders / "out", folders / "experiments", folders / "results")
+
+    assert found().stale == ("c: its alternatives were not run: hident power c",)
+    powered(folders / "results", {**resolved, "title": "b"})
+    (table,) = found().tables
+    assert (found().stale, table.rejected, table.tried, table.survivors) == ((), 1, 2, ("y",))
+    run.write_text(json.dumps({"experiment": {"config": "c", "resolved": {**resolved, "seed": 2}}}))
+    assert found().stale == ("c: its alternatives were run for another configuration: hident power c",)
+    (folders / "results" / "power" / "c" / "mutations.csv").write_text("")
+    assert "was altered since it was written: hident power c" in found().stale[0]

@@ -10,10 +10,10 @@ from hident.config.suggest import one_of
 from hident.engine.results import Series
 from hident.ledger.verdicts import Verdict
 
-_SIGNS = {"exact": "=", "agrees": "~", "differs": "!"}
+_SIGNS = {"exact": "=", "agrees": "~", "untestable": "?", "differs": "!"}
 _LEGEND = (
     "Beside ours, the printed number: `=` ours rounds to it, `~` it lies in the interval that the trials "
-    "give and so is not excluded, `!` it differs."
+    "give and not in that of every alternative, `?` it lies in all of them, `!` it differs."
 )
 
 

@@ -1,0 +1,56 @@
+"""The alternatives of a configuration run, and what its printed numbers make of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from hident.engine.alternatives import alternative_plan
+from hident.engine.experiment import Plan, Published
+from hident.engine.results import Results
+from hident.ledger.joint import combined_p
+from hident.ledger.power import Mutation, NumberPower, VerdictPower
+from hident.ledger.published import Key
+from hident.ledger.verdicts import LEVEL, Verdict, group_p, grouped, is_same_data, stand
+
+TRIALS = 100
+"""Of an alternative, at most: its verdicts need fewer than those of the configuration."""
+
+
+def measured(plan: Plan, run: Callable[[str, Plan], Results], trials: int | None = None) -> VerdictPower:
+    """The power of a plan's printed numbers; ``run`` is given the name and the plan of each alternative.
+
+    ConfigError if an alternative cannot be run.
+    """
+    published = plan.experiment.published
+    assert published is not None
+    wanted = plan.trials if is_same_data(published, plan.trials) else trials or TRIALS
+    numbers: dict[Key, tuple[str, dict[str, bool]]] = {}
+    mutations: list[Mutation] = []
+    # Each is looked at before the first is run.
+    plans = {name: alternative_plan(plan, name, wanted) for name in plan.experiment.alternatives}
+    for name, alternative in plans.items():
+        verdicts = stand(run(name, alternative))
+        tables: dict[str, list[Verdict]] = {}
+        for verdict in verdicts:
+            _, excluded = numbers.setdefault(verdict.printed.key, (verdict.printed.printed, {}))
+            excluded[name] = excluded.get(name, False) or verdict.word == "differs"
+            tables.setdefault(verdict.printed.table, []).append(verdict)
+        mutations += [_mutation(table, name, found, published) for table, found in tables.items()]
+    order = list(plan.experiment.alternatives)
+    return VerdictPower(
+        {key: NumberPower(*numbers[key]) for key in sorted(numbers)},
+        tuple(sorted(mutations, key=lambda one: (one.table, order.index(one.alternative)))),
+    )
+
+
+def _mutation(table: str, name: str, verdicts: Sequence[Verdict], published: Published) -> Mutation:
+    excluding = sum(verdict.word == "differs" for verdict in verdicts)
+    trials = len(verdicts[0].series.values)
+    p = combined_p(group_p(group, trials, published) for group in grouped(verdicts))
+    if not math.isnan(p):
+        rejected = p < LEVEL or any(not len(verdict.series.valid) for verdict in verdicts)
+    else:
+        # Digits, bounds, or estimates that all fail.
+        rejected = bool(excluding)
+    return Mutation(table, name, len(verdicts), excluding, p, rejected)
