@@ -204,26 +204,36 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
         return [*with_errors(self.parameters()), "loss", *self.noise_names()]
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
-        [found] = self.fit_many([record])
+        [found] = self._fitted([record], rng)
         if isinstance(found, EstimationError):
             raise found
         return found
 
     def fit_many(self, records: Sequence[Record]) -> list[Estimate | EstimationError]:
         """Records of one input share the regressors and their weights, unless the output decides these."""
+        return self._fitted(records)
+
+    def _fitted(
+        self, records: Sequence[Record], rng: np.random.Generator | None = None
+    ) -> list[Estimate | EstimationError]:
         first = records[0]
         apart = isinstance(self.weight, EstimatedAr) or any(
             record.u is not first.u or record.experiments != first.experiments for record in records
         )
         if apart and len(records) > 1:
-            return [found for record in records for found in self.fit_many([record])]
+            return [found for record in records for found in self._fitted([record])]
         y = np.stack([self.outputs(record) for record in records])
         phi, parts = self.design(first)
-        found = self.solved(self.weighted(phi, y[0], parts), y, first)
+        found = self.solved(self.weighted(phi, y[0], parts), y, first, rng)
         return [self.responding(one, first.dt) if isinstance(one, Estimate) else one for one in found]
 
-    def solved(self, weighted: Weighted, y: Array, record: Record) -> list[Estimate | EstimationError]:
-        """The estimates from the outputs ``y`` (T, rows) of T trials with the input of ``record``."""
+    def solved(
+        self, weighted: Weighted, y: Array, record: Record, rng: np.random.Generator | None = None
+    ) -> list[Estimate | EstimationError]:
+        """The estimates from the outputs ``y`` (T, rows) of T trials with the input of ``record``.
+
+        ``rng`` is the stream of the one trial of an estimator that draws.
+        """
         raise NotImplementedError
 
     def estimates(
@@ -266,7 +276,9 @@ class TwoStage(WeightedBilinearSpec):
     [1.0, 0.6, -0.8]
     """
 
-    def solved(self, weighted: Weighted, y: Array, record: Record) -> list[Estimate | EstimationError]:
+    def solved(
+        self, weighted: Weighted, y: Array, record: Record, rng: np.random.Generator | None = None
+    ) -> list[Estimate | EstimationError]:
         found = two_stage(weighted.regression, y)
         variance = weighted.white.variance(y, weighted.white.theta(y))
         errors = weighted.white.standard_errors(found.b, found.a, variance)
