@@ -103,6 +103,17 @@ def test_theorem_3_any_weighting(seed):
     np.testing.assert_allclose(optimum.a, expected.a, rtol=1e-8)
 
 
+def test_theorem_3_by_the_spec():
+    x, _, y = noisy(15)
+    noise = {"kind": "ar", "a": [0.8]}
+    expected = TwoStage.model_validate({"lags": 2, "degree": 5, "weight": noise}).fit(record_of(x, y), RNG)
+    found = spec(weight={"kind": "inverse_gram", "of": noise}, start="truth").fit(record_of(x, y), RNG)
+    unweighted = TwoStage(lags=2, degree=5).fit(record_of(x, y), RNG)
+    for name in ("b_1", "a_1", "a_5", "se_b_1", "se_a_1"):
+        assert found.values[name] == pytest.approx(expected.values[name], rel=1e-8)
+        assert found.values[name] != pytest.approx(unweighted.values[name], rel=1e-5)
+
+
 def test_recovery_without_noise():
     x, phi, y = noisy(2, noise=0.0)
     found = bilinear_least_squares(Regression.of(phi, 2), y, np.array([0.6, -0.8]), 1.2 * A)

@@ -17,7 +17,12 @@ from hident.arrays import Array
 from hident.config.spec import Count, Flag, Real, Spec, component
 from hident.errors import EstimationError
 from hident.estimators.bilinear_models.bilinear import Regression, loss, normalised
-from hident.estimators.bilinear_models.two_stage import Weighted, WeightedBilinearSpec, two_stage
+from hident.estimators.bilinear_models.two_stage import (
+    InverseGram,
+    Weighted,
+    WeightedBilinearSpec,
+    two_stage,
+)
 from hident.estimators.convergence import Unconverged, settle
 from hident.numerics.gauss_newton import gauss_newton
 from hident.numerics.least_squares import Factorisation
@@ -303,8 +308,8 @@ class BilinearLeastSquares(WeightedBilinearSpec):
     def _standard_errors(self, weighted: Weighted, y: Array, b: Array, a: Array) -> tuple[Array, Array]:
         """Those of the normalised parameters; they assume white noise unless its covariance is the weight."""
         white = weighted.white
-        if self.weight == "inverse_gram":
-            # Theorem 2: the solution is the unweighted two-stage estimate.
+        if self.weight == "inverse_gram" or isinstance(self.weight, InverseGram):
+            # Theorems 2 and 3: the solution is the two-stage estimate without that weighting.
             return white.standard_errors(b, a, white.variance(y, white.theta(y)))
         spare = len(y) - len(b) - len(a) + 1
         std = np.sqrt(loss(white, y, b, a, white.root) / spare)
