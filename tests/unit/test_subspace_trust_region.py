@@ -1,5 +1,6 @@
 """The trust region in a plane: its pieces against their definitions, its minima against scipy's."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -9,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
+from hident.arrays import Array
 from hident.numerics.subspace_trust_region import (
     conjugate_gradients,
     least_in_ball,
@@ -38,8 +40,8 @@ def product(p):
 class Model:
     """A model at its parameters; ``of`` gives residuals and derivative."""
 
-    of: object
-    p: np.ndarray
+    of: Callable[[Array], tuple[Array, Array]]
+    p: Array
 
     @property
     def residuals(self):
@@ -58,8 +60,8 @@ class Model:
 class Walk:
     """The steps of a minimisation: where each began, where it led."""
 
-    of: object
-    steps: list = field(default_factory=list)
+    of: Callable[[Array], tuple[Array, Array]]
+    steps: list[tuple[Model, Array, Model]] = field(default_factory=list)
 
     def moved(self, model, step):
         new = Model(self.of, model.p + step)
@@ -228,7 +230,7 @@ def test_least_in_ball_is_optimal(seed, shape, radius):
     # (H + shift I) s = -g, with a shift on the boundary only.
     slope = -(hessian @ step + gradient)
     shift = slope @ step / length**2
-    np.testing.assert_allclose(slope, shift * step, atol=1e-7 * np.linalg.norm(gradient))
+    np.testing.assert_allclose(slope, shift * step, atol=1e-7 * float(np.linalg.norm(gradient)))
     if length < radius * (1.0 - 1e-6):
         assert abs(shift) * length <= 1e-7 * np.linalg.norm(gradient)
     else:
