@@ -1,12 +1,13 @@
 """Nonlinear least squares by a trust region in two dimensions, with preconditioned conjugate gradients.
 
-Each step minimises Gauss and Newton's model of the loss, inside a ball, over the plane of the gradient and an
-approximate Gauss-Newton step (Byrd, Schnabel, Shultz 1988, Math. Programming 40, 247). That step takes a few
-conjugate gradients only, so columns of the Jacobian that depend on one another (a factor between two blocks)
-do no harm. It is the method of Coleman and Li 1996 (SIAM J. Optim. 6, 418) and Branch, Coleman, Li 1999 (SIAM
-J. Sci. Comput. 21, 1) for problems without bounds, where their scaling matrix is the identity. Where H is
-badly conditioned even after its scaling, the few conjugate gradients make it slow: it may come to rest, or to
-the end of its steps, before the minimum.
+Each step minimises Gauss and Newton's model of the loss, inside a ball, over the plane of the gradient and
+an approximate Gauss-Newton step (Byrd, Schnabel, Shultz 1988, Math. Programming 40, 247). That step takes a
+few conjugate gradients only, so columns of the Jacobian that depend on one another (a factor between two
+blocks) do no harm. It is the method of Coleman and Li 1996 (SIAM J. Optim. 6, 418) and Branch, Coleman, Li
+1999 (SIAM J. Sci. Comput. 21, 1) for problems without bounds, where their scaling matrix is the identity.
+The papers leave the preconditioner and the rule of rest open: here they are those of MATLAB 7's lsqnonlin,
+as the constants are. Where H is badly conditioned even after its scaling, the few conjugate gradients make
+it slow: it may come to rest, or to the end of its steps, before the minimum.
 
 =========  ========================================================================
 r, J       residuals (N,), output less model, and the model's derivative (N, P)

@@ -143,7 +143,7 @@ def bilinear_trust_region(
 
     Notes
     -----
-    With ``normalise=False`` and the defaults (MATLAB's for its large-scale ``lsqnonlin``: TolFun 1e-6,
+    With ``normalise=False`` and the defaults (those of MATLAB 7's large-scale ``lsqnonlin``: TolFun 1e-6,
     MaxIter 400, TolPCG 0.1, MaxPCGIter max(1, floor((n + m)/2)), PrecondBandWidth 0) it makes the steps of
     that function, to the digits that Wang, Zhang, Ljung 2009 print in Table 1, column 3.
     """
