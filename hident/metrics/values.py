@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from statistics import NormalDist
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from hident.config.spec import Real, component
 from hident.metrics.base import MetricSpec, Scored
@@ -102,7 +102,7 @@ class TrueValue(_EachValue, _AgainstTruth):
 
 @component("metric", "share")
 class Share(_EachValue):
-    """100 where the values equal a given number, else 0: its mean is the percentage of such trials.
+    """100 where the values equal a given number, or are at most that, else 0: its mean is the percentage.
 
     Examples
     --------
@@ -112,11 +112,22 @@ class Share(_EachValue):
     {'second_order n': 100.0}
     """
 
-    equals: Real
-    """The number."""
+    equals: Real | None = None
+    """The number; give this or 'at_most'."""
+    at_most: Real | None = None
+    """The largest number that counts."""
+
+    @model_validator(mode="after")
+    def _one_rule(self) -> Self:
+        if (self.equals is None) == (self.at_most is None):
+            raise ValueError("give either 'equals' or 'at_most'")
+        return self
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        return [100.0 * (estimate.values[name] == self.equals) for name in self.of]
+        values = [estimate.values[name] for name in self.of]
+        if self.at_most is not None:
+            return [100.0 * (value <= self.at_most) for value in values]
+        return [100.0 * (value == self.equals) for value in values]
 
 
 @component("metric", "coverage")

@@ -155,6 +155,20 @@ EXAMPLES = [
     Example({"kind": "known_dynamics", "a": [0.5, -0.1], "b": [1, 0.2]}),
     Example({"kind": "two_stage", "lags": 3, "degree": 3, "delay": 0}, linear=FIR),
     Example({"kind": "bilinear_least_squares", "lags": 3, "degree": 3, "delay": 0}, linear=FIR),
+    Example(
+        {
+            "kind": "bilinear_least_squares",
+            "lags": 3,
+            "degree": 3,
+            "delay": 0,
+            "start": "random",
+            "solver": "subspace_trust_region",
+            "unconverged": "keep",
+            "excess": True,
+        },
+        linear=FIR,
+        invariances=frozenset(),
+    ),
     Example({"kind": "separable_least_squares", "lags": 2, "degree": 3, "delay": 0, "feedback": 1}),
     Example(
         {"kind": "known_nonlinearity", "lags": 2, "nonlinearity": CUBIC}, linear=FIR, invariances=frozenset()
@@ -341,7 +355,7 @@ def _data(example, samples=None):
 
 def _fit(example, record):
     with np.errstate(all="ignore"):
-        found = _spec(example).fit(record)
+        found = _spec(example).fit(record, np.random.default_rng(0))
         return found, None if found.nonlinearity is None else found.nonlinearity(np.linspace(-0.9, 0.9, 31))
 
 

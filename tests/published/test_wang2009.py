@@ -19,20 +19,17 @@ def of(found, row):
     return {v.printed.quantity: v for v in found if v.printed.row == row}
 
 
-@pytest.mark.parametrize("row", ["W=I, TSA", "W=W_check (17), TSA"])
-def test_the_two_stage_columns_of_table_1_come_out_to_every_digit(table1, row):
+@pytest.mark.parametrize("row", ["W=I, TSA", "W=W_check (17), TSA", "W=W_check (17), lsqnonlin"])
+def test_table_1_comes_out_to_every_digit(table1, row):
     found = of(table1, row)
     assert len(found) == 15
     assert {v.word for v in found.values()} == {"exact"}
 
 
-def test_the_solver_of_table_1_reaches_the_same_loss_elsewhere_in_the_valley(table1):
+def test_the_solver_of_table_1_does_not_hold_b_at_length_one(table1):
     found = of(table1, "W=W_check (17), lsqnonlin")
-    assert found["mean loss L(b,a,W)"].word == "exact"
     # With b at length one the second spread would be half of the first.
     assert found["std b2"].ours > found["std b1"].ours
-    assert [q for q, v in found.items() if v.word == "differs"] == ["std a4"]
-    assert found["std a4"].reason
 
 
 @pytest.mark.parametrize("row", ["W=I", "W=R^-1 estimated"])

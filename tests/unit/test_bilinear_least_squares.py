@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hident.errors import EstimationError
+from hident.estimators.base import is_batched
 from hident.estimators.bilinear_models import bilinear_least_squares as module
 from hident.estimators.bilinear_models.bilinear import (
     Regression,
@@ -17,7 +18,9 @@ from hident.estimators.bilinear_models.bilinear import (
 from hident.estimators.bilinear_models.bilinear_least_squares import (
     BilinearLeastSquares,
     bilinear_least_squares,
+    bilinear_trust_region,
     complement,
+    excess,
     jacobian,
 )
 from hident.estimators.bilinear_models.bounds import CramerRao
@@ -100,6 +103,17 @@ def test_theorem_3_any_weighting(seed):
     np.testing.assert_allclose(optimum.a, expected.a, rtol=1e-8)
 
 
+def test_theorem_3_by_the_spec():
+    x, _, y = noisy(15)
+    noise = {"kind": "ar", "a": [0.8]}
+    expected = TwoStage.model_validate({"lags": 2, "degree": 5, "weight": noise}).fit(record_of(x, y), RNG)
+    found = spec(weight={"kind": "inverse_gram", "of": noise}, start="truth").fit(record_of(x, y), RNG)
+    unweighted = TwoStage(lags=2, degree=5).fit(record_of(x, y), RNG)
+    for name in ("b_1", "a_1", "a_5", "se_b_1", "se_a_1"):
+        assert found.values[name] == pytest.approx(expected.values[name], rel=1e-8)
+        assert found.values[name] != pytest.approx(unweighted.values[name], rel=1e-5)
+
+
 def test_recovery_without_noise():
     x, phi, y = noisy(2, noise=0.0)
     found = bilinear_least_squares(Regression.of(phi, 2), y, np.array([0.6, -0.8]), 1.2 * A)
@@ -178,7 +192,9 @@ def test_early_stop():
 
 def test_without_convergence(monkeypatch):
     x, _, y = noisy(9)
-    monkeypatch.setattr(module, "bilinear_least_squares", lambda *_, **__: module.Solution(B, A, 200, False))
+    monkeypatch.setattr(
+        module, "bilinear_least_squares", lambda *_, **__: module.Solution(B, A, 200, "exhausted")
+    )
     message = r"^the iteration has not converged in 200 iterations: allow"
     with pytest.raises(EstimationError, match=message):
         spec().fit(record_of(x, y), RNG)
@@ -198,3 +214,74 @@ def test_estimate_holds_what_it_says():
         found = estimator.fit(record_of(x, y), RNG)
         values = {f"value {name}" for name in found.values}
         assert estimator.provides() == {"linear", "nonlinearity", "response"} | values
+
+
+@pytest.mark.parametrize("normalise", [True, False])
+@pytest.mark.parametrize("weight", ["identity", "inverse_gram"])
+def test_the_trust_region_finds_the_same_minimum(weight, normalise):
+    _, phi, y = noisy(11)
+    plain = Regression.of(phi, 2)
+    regression = plain if weight == "identity" else Regression.of(phi, 2, inverse_gram(plain))
+    least = bilinear_least_squares(regression, y, B, A)
+    found = bilinear_trust_region(
+        regression, y, B, A, tolerance=1e-12, max_iterations=5000, normalise=normalise
+    )
+    assert found.status == "converged"
+    # Both losses are flat there: a loss that is 1e-12 (1 + loss) above the least one is 1e-6 away.
+    np.testing.assert_allclose(np.outer(found.b, found.a), np.outer(least.b, least.a), rtol=1e-4)
+    assert (abs(np.linalg.norm(found.b) - 1.0) < 1e-12) == normalise
+
+
+def test_the_trust_region_stops_short_of_the_minimum_where_a_step_changes_little():
+    _, phi, y = noisy(11)
+    plain = Regression.of(phi, 2)
+    regression = Regression.of(phi, 2, inverse_gram(plain))
+    first = two_stage(regression, y)
+    found = bilinear_trust_region(regression, y, B, A, normalise=False)
+    assert found.status == "converged"
+    assert 0.0 < excess(regression, y, found, (first.b, first.a)) < 1e-3
+    # Brought back to length one it is the minimum; on the way b has lost its length.
+    assert abs(np.linalg.norm(found.b) - 1.0) > 1e-6
+    few = bilinear_trust_region(regression, y, B, A, normalise=False, max_iterations=2)
+    assert (few.status, few.iterations) == ("exhausted", 2)
+
+
+@pytest.mark.parametrize("solver", ["gauss_newton", "subspace_trust_region"])
+def test_an_estimate_says_how_its_iterations_ended(solver):
+    x, _, y = noisy(12)
+    fields = {"weight": "inverse_gram", "start": "truth", "solver": solver}
+    assert spec(**fields).fit(record_of(x, y), RNG).details["status"] == "converged"
+    one = spec(**fields, stop={"max_iterations": 1}, unconverged="keep").fit(record_of(x, y), RNG)
+    assert one.details["status"] == "exhausted"
+    with pytest.raises(EstimationError, match=r"^the iteration has not converged in 1 iteration: allow"):
+        spec(**fields, stop={"max_iterations": 1}).fit(record_of(x, y), RNG)
+
+
+def test_a_random_start_is_of_the_estimators_own_stream():
+    x, _, y = noisy(13)
+    estimator = spec(start="random", stop={"max_iterations": 1}, unconverged="keep")
+    assert estimator.draws()
+    assert not is_batched(estimator)
+    assert is_batched(spec(start="truth"))
+    one, same, other = (
+        estimator.fit(record_of(x, y), np.random.default_rng(seed)).values["loss"] for seed in (1, 1, 2)
+    )
+    assert one == same != other
+    settled = spec(start="random").fit(record_of(x, y), np.random.default_rng(1))
+    from_truth = spec(start="truth").fit(record_of(x, y), RNG)
+    for name in ("b_1", "a_1", "loss"):
+        assert settled.values[name] == pytest.approx(from_truth.values[name], rel=1e-9)
+
+
+def test_excess_is_the_loss_over_the_least_one():
+    x, _, y = noisy(14)
+    assert "excess" not in spec().names()
+    fields = {"start": "truth", "excess": True, "unconverged": "keep"}
+    short = spec(**fields, stop={"max_iterations": 1}, solver="subspace_trust_region").fit(
+        record_of(x, y), RNG
+    )
+    least = spec().fit(record_of(x, y), RNG)
+    ratio = short.values["loss"] / least.values["loss"]
+    assert ratio > 1.0 + 1e-6
+    assert short.values["excess"] == pytest.approx(ratio - 1.0, rel=1e-6)
+    assert spec(**fields).fit(record_of(x, y), RNG).values["excess"] == 0.0

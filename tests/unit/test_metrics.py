@@ -95,6 +95,11 @@ def test_shares_and_coverage_are_percentages():
     found = Estimate(values={"a_1": 0.9, "a_2": -0.4, "se_a_1": 0.06, "se_a_2": 0.06, "order": 1.0})
     assert Share(of=("order",), equals=1).evaluate(found, data) == [100.0]
     assert Share(of=("order",), equals=2).evaluate(found, data) == [0.0]
+    assert [Share(of=("order",), at_most=k).evaluate(found, data) for k in (0.5, 1, 2)] == [
+        [0.0],
+        [100.0],
+        [100.0],
+    ]
     both = ("a_1", "a_2")
     assert Coverage(of=both).evaluate(found, data) == [100.0, 0.0]
     assert Coverage(of=both, confidence=0.5).evaluate(found, data) == [0.0, 0.0]
@@ -135,6 +140,8 @@ def test_leaving_out_the_square_of_eq_20_gives_the_printed_401():
         (lambda: IntegratedSquaredError(interval=(1, 1)), r"must be \[low, high\] with low < high"),
         (lambda: IntegratedSquaredError(interval=PI2, points=7), "must be greater than or equal to 8"),
         (lambda: Error(of=()), r"must name at least one value, e.g. \[a_1\]"),
+        (lambda: Share(of=("order",)), "give either 'equals' or 'at_most'"),
+        (lambda: Share(of=("order",), equals=1, at_most=2), "give either 'equals' or 'at_most'"),
     ],
 )
 def test_messages(make, message):

@@ -70,6 +70,7 @@ def errors(plan):
         "kind: two_stage",
         "kind: two_stage, weight: inverse_gram",
         "kind: two_stage, weight: {kind: ar, a: [0.9, -0.2]}",
+        "kind: two_stage, weight: {kind: inverse_gram, of: {kind: ar, a: [0.9, -0.2]}}",
         *(f"kind: two_stage, weight: {{kind: estimated_ar, method: {method}}}" for method in METHODS),
         "kind: bilinear_least_squares",
     ],

@@ -271,7 +271,8 @@ def test_standard_errors_are_the_spread_when_the_noise_is_known():
 def test_estimate_holds_what_it_says():
     record = simulated(20, noise=1.0)
     record.u.flags.writeable = record.y.flags.writeable = False
-    for weight in ("identity", "inverse_gram", "estimated_ar", {"kind": "ar", "a": [0.5]}):
+    ar = {"kind": "ar", "a": [0.5]}
+    for weight in ("identity", "inverse_gram", "estimated_ar", ar, {"kind": "inverse_gram", "of": ar}):
         estimator = spec(weight=weight)
         found = estimator.fit(record, RNG)
         values = {f"value {name}" for name in found.values}
@@ -359,9 +360,11 @@ def test_other_failures():
         (
             {"weight": "identiy"},
             ("weight",),
-            "must be identity, inverse_gram or a mapping with 'kind: ar' or 'kind: estimated_ar'",
+            "must be identity, inverse_gram or a mapping with 'kind: ar', 'kind: estimated_ar' or "
+            "'kind: inverse_gram'",
         ),
         ({"weight": "ar"}, ("weight", "a"), "is required: Feedback coefficients"),
+        ({"weight": {"kind": "inverse_gram"}}, ("weight", "of"), "is required: The weighting W"),
         ({"weight": {"kind": "ar", "a": []}}, ("weight", "a"), "must be a list of at least 1"),
         (
             {"weight": {"kind": "ar", "a": [1.25]}},

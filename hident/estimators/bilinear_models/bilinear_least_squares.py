@@ -5,8 +5,8 @@ Symbols are in :mod:`hident.estimators.bilinear_models.bilinear`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from itertools import repeat
 from typing import Annotated, Literal
 
@@ -17,21 +17,38 @@ from hident.arrays import Array
 from hident.config.spec import Count, Flag, Real, Spec, component
 from hident.errors import EstimationError
 from hident.estimators.bilinear_models.bilinear import Regression, loss, normalised
-from hident.estimators.bilinear_models.two_stage import Weighted, WeightedBilinearSpec, two_stage
+from hident.estimators.bilinear_models.two_stage import (
+    InverseGram,
+    Weighted,
+    WeightedBilinearSpec,
+    two_stage,
+)
 from hident.estimators.convergence import Unconverged, settle
 from hident.numerics.gauss_newton import gauss_newton
 from hident.numerics.least_squares import Factorisation
+from hident.numerics.subspace_trust_region import subspace_trust_region
 from hident.records import Estimate, Record
+
+_SAME = 1e-10
+"""Outputs that differ by less than this part of the output are one: a minimum is found to 12 digits."""
+
+Status = Literal["converged", "stalled", "exhausted", "singular"]
+"""How it ended: at rest, no step lowers the loss, no iteration is left, the Jacobian is singular."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """b (n,), a (m,), the iterations made, and whether the last one was below the tolerance."""
+    """b (n,), a (m,), the iterations made, and how they ended."""
 
     b: Array
     a: Array
     iterations: int
-    converged: bool
+    status: Status
+
+    @property
+    def converged(self) -> bool:
+        """Whether the last iteration was below the tolerance."""
+        return self.status == "converged"
 
 
 def jacobian(r: Array, b: Array, a: Array) -> Array:
@@ -96,28 +113,97 @@ def bilinear_least_squares(
     estimate was never one where signal and noise have equal power, and 8 times where the noise has ten times
     that of the signal.
     """
-    r, z = regression.r, regression.projected(y)
-
-    def at(b: Array, a: Array) -> _Point:
-        # The direction that leaves b a' as it is (b grows, a shrinks), or assumption 1's normal.
-        tangent = complement(np.concatenate([b, np.zeros_like(a) if normalise else -a]))
-        return _Point(b, a, z - r @ np.outer(a, b).ravel(), jacobian(r, b, a) @ tangent, tangent)
-
-    def moved(point: _Point, step: Array) -> _Point:
-        by_b, by_a = np.split(point.tangent @ step, [len(b)])
-        new = point.b + by_b, point.a + by_a
-        return at(*(normalised(*new) if normalise else new))
-
+    problem = _Problem(regression.r, regression.projected(y), normalise, _shortest)
     found = gauss_newton(
-        at(b, a),
-        moved,
-        lambda point, length: length <= tolerance * float(np.linalg.norm(z - point.residuals)),
+        problem.at(b, a),
+        problem.moved,
+        lambda point, length: length <= tolerance * float(np.linalg.norm(problem.z - point.residuals)),
         max_iterations=max_iterations,
         # Losses closer than this differ by rounding only.
-        slack=1e-14 * float(z @ z),
+        slack=1e-14 * float(problem.z @ problem.z),
         step_at_rest=True,
     )
-    return Solution(found.point.b, found.point.a, found.iterations, found.status == "converged")
+    return Solution(found.point.b, found.point.a, found.iterations, found.status)
+
+
+def bilinear_trust_region(
+    regression: Regression,
+    y: Array,
+    b: Array,
+    a: Array,
+    *,
+    tolerance: float = 1e-6,
+    max_iterations: int = 400,
+    normalise: bool = True,
+) -> Solution:
+    """As :func:`bilinear_least_squares`, by :func:`~hident.numerics.subspace_trust_region`.
+
+    Its tolerance is of the change of the loss. With ``normalise`` the steps are those of b on the unit
+    sphere; without, of all n + m coordinates, one of which says nothing.
+
+    Notes
+    -----
+    With ``normalise=False`` and the defaults (those of MATLAB 7's large-scale ``lsqnonlin``: TolFun 1e-6,
+    MaxIter 400, TolPCG 0.1, MaxPCGIter max(1, floor((n + m)/2)), PrecondBandWidth 0) it makes the steps of
+    that function, to the digits that Wang, Zhang, Ljung 2009 print in Table 1, column 3.
+    """
+    problem = _Problem(regression.r, regression.projected(y), normalise, _all)
+    found = subspace_trust_region(
+        problem.at(b, a), problem.moved, tolerance=tolerance, max_iterations=max_iterations
+    )
+    return Solution(found.point.b, found.point.a, found.iterations, found.status)
+
+
+def excess(regression: Regression, y: Array, found: Solution, first: tuple[Array, Array]) -> float:
+    """The loss of ``found`` over that of the minimum found from b and a of ``first``, less one.
+
+    It is zero where the two outputs are one to 10 digits.
+
+    Raises
+    ------
+    EstimationError
+        If the iterations from ``first`` do not converge.
+    """
+    least = bilinear_least_squares(regression, y, *first)
+    settle(least.converged, least.iterations, "fail")
+    r, z = regression.r, regression.projected(y)
+    product = np.outer(least.a, least.b).ravel()
+    apart = r @ (np.outer(found.a, found.b).ravel() - product)
+    if np.linalg.norm(apart) <= _SAME * np.linalg.norm(z):
+        return 0.0
+    # The difference of two losses has no digits of its own next to the minimum.
+    more = float(apart @ (apart - 2.0 * (z - r @ product)))
+    return more / float(loss(regression, y, least.b, least.a, regression.root))
+
+
+def _shortest(b: Array, a: Array) -> Array:
+    """The directions (n + m, n + m - 1) across the one that leaves b a' as it is: b grows, a shrinks."""
+    return complement(np.concatenate([b, -a]))
+
+
+def _all(b: Array, a: Array) -> Array:
+    return np.eye(len(b) + len(a))
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """The residuals z - r vec(b a'); ``free`` gives the directions of the steps where b is not held."""
+
+    r: Array
+    z: Array
+    normalise: bool
+    free: Callable[[Array, Array], Array]
+
+    def at(self, b: Array, a: Array) -> _Point:
+        # Held, b moves across assumption 1's normal.
+        tangent = complement(np.append(b, np.zeros_like(a))) if self.normalise else self.free(b, a)
+        residuals = self.z - self.r @ np.outer(a, b).ravel()
+        return _Point(b, a, residuals, jacobian(self.r, b, a) @ tangent, tangent)
+
+    def moved(self, point: _Point, step: Array) -> _Point:
+        by_b, by_a = np.split(point.tangent @ step, [len(point.b)])
+        new = point.b + by_b, point.a + by_a
+        return self.at(*(normalised(*new) if self.normalise else new))
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +223,7 @@ class Stop(Spec):
     """When to stop short of convergence."""
 
     tolerance: Annotated[Real, Field(gt=0)] = 1e-6
-    """Relative change of the model's output by a step, below which to stop."""
+    """Stop where a step promises less change of the output, relative to it; of the loss in a trust region."""
     max_iterations: Annotated[Count, Field(ge=1)] = 400
     """Most steps."""
 
@@ -156,34 +242,57 @@ class BilinearLeastSquares(WeightedBilinearSpec):
     [1.0, 0.6, -0.8]
     """
 
-    start: Literal["two_stage", "truth"] = "two_stage"
-    """Where the iterations start."""
+    start: Literal["two_stage", "truth", "random"] = "two_stage"
+    """Where the iterations start; at random: b_i and a_j independent, standard normal."""
+    solver: Literal["gauss_newton", "subspace_trust_region"] = "gauss_newton"
+    """Gauss and Newton's steps, halved until the loss falls, or the steps of a trust region in a plane."""
     stop: Stop | None = None
-    """Stop early, by another tolerance than that of a minimum found to 12 digits."""
+    """Stop by another tolerance: 1e-12 (a minimum found to 12 digits), 1e-6 in a trust region, without it."""
     unconverged: Unconverged = "fail"
     """Whether iterations that have not converged by then count as failed, or are kept as they are."""
     normalise: Flag = True
     """Keep b at length one; false leaves the common factor of b and 1/a where the iterations drift."""
+    excess: Flag = False
+    """Add the value excess: the loss over that of the minimum found from the two-stage estimate, less one."""
 
     def names(self) -> list[str]:
-        return [*super().names(), "iterations", "converged"]
+        return [*super().names(), "iterations", "converged", *(["excess"] if self.excess else [])]
+
+    def draws(self) -> bool:
+        return self.start == "random"
 
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset({"nonlinearity", "linear"} if self.start == "truth" else ())
 
-    def solved(self, weighted: Weighted, y: Array, record: Record) -> list[Estimate | EstimationError]:
+    def solved(
+        self, weighted: Weighted, y: Array, record: Record, rng: np.random.Generator | None = None
+    ) -> list[Estimate | EstimationError]:
         first = two_stage(weighted.regression, y)
-        starts: Iterable[tuple[Array, Array]] = zip(first.b, first.a, strict=True)
+        two_stages = [*zip(first.b, first.a, strict=True)]
+        starts: Iterable[tuple[Array, Array]] = two_stages
         if self.start == "truth":
             starts = repeat(self.true_parameters(record), len(y))
-        return [self._solved(weighted, *of) for of in zip(y, starts, strict=True)]
+        elif self.start == "random":
+            starts = [self._drawn(rng) for _ in y]
+        return [self._solved(weighted, *of) for of in zip(y, starts, two_stages, strict=True)]
 
-    def _solved(self, weighted: Weighted, y: Array, start: tuple[Array, Array]) -> Estimate | EstimationError:
-        """The estimate from the output ``y`` (rows,) of one trial."""
+    def _drawn(self, rng: np.random.Generator | None) -> tuple[Array, Array]:
+        assert rng is not None  # as it draws
+        b, a = rng.standard_normal(self.lags), rng.standard_normal(len(self.functions()))
+        return normalised(b, a) if self.normalise else (b, a)
+
+    def _solved(
+        self, weighted: Weighted, y: Array, start: tuple[Array, Array], first: tuple[Array, Array]
+    ) -> Estimate | EstimationError:
+        """The estimate from the output ``y`` (rows,) of one trial, whose two-stage estimate is ``first``."""
         stop = {} if self.stop is None else self.stop.model_dump()
-        found = bilinear_least_squares(weighted.regression, y, *start, normalise=self.normalise, **stop)
+        solve = bilinear_least_squares if self.solver == "gauss_newton" else bilinear_trust_region
         try:
+            found = solve(weighted.regression, y, *start, normalise=self.normalise, **stop)
             settle(found.converged, found.iterations, self.unconverged)
+            others: list[float] = [found.iterations, found.converged]
+            if self.excess:
+                others.append(excess(weighted.regression, y, found, first))
         except EstimationError as error:
             return error
         errors = self._standard_errors(weighted, y, *normalised(found.b, found.a))
@@ -192,15 +301,15 @@ class BilinearLeastSquares(WeightedBilinearSpec):
             y[None],
             (found.b[None], found.a[None]),
             (errors[0][None], errors[1][None]),
-            (float(found.iterations), float(found.converged)),
+            tuple(map(float, others)),
         )
-        return estimate
+        return replace(estimate, details={"status": found.status})
 
     def _standard_errors(self, weighted: Weighted, y: Array, b: Array, a: Array) -> tuple[Array, Array]:
         """Those of the normalised parameters; they assume white noise unless its covariance is the weight."""
         white = weighted.white
-        if self.weight == "inverse_gram":
-            # Theorem 2: the solution is the unweighted two-stage estimate.
+        if self.weight == "inverse_gram" or isinstance(self.weight, InverseGram):
+            # Theorems 2 and 3: the solution is the two-stage estimate without that weighting.
             return white.standard_errors(b, a, white.variance(y, white.theta(y)))
         spare = len(y) - len(b) - len(a) + 1
         std = np.sqrt(loss(white, y, b, a, white.root) / spare)

@@ -133,7 +133,20 @@ class KnownAr(Spec):
         return a
 
 
-_WEIGHTS: dict[str, type[KnownAr] | type[EstimatedAr]] = {"ar": KnownAr, "estimated_ar": EstimatedAr}
+class InverseGram(Spec):
+    """The weighting W-tilde, under which the two-stage estimate with another W is the optimum of (10)."""
+
+    kind: Literal["inverse_gram"]
+    """The kind."""
+    of: KnownAr
+    """The weighting W: the inverse of the covariance of autoregressive noise."""
+
+
+_WEIGHTS: dict[str, type[KnownAr] | type[EstimatedAr] | type[InverseGram]] = {
+    "ar": KnownAr,
+    "estimated_ar": EstimatedAr,
+    "inverse_gram": InverseGram,
+}
 _PLAIN = ("identity", "inverse_gram")
 
 
@@ -153,19 +166,24 @@ class Weighted:
 class WeightedSpec(LaggedSpec):
     """Base of the estimators with a weighting matrix."""
 
-    weight: Literal["identity", "inverse_gram"] | KnownAr | EstimatedAr = "identity"
-    """W: identity, inverse_gram (17), or by the noise: {kind: ar, a: [...]} or {kind: estimated_ar}."""
+    weight: Literal["identity", "inverse_gram"] | KnownAr | EstimatedAr | InverseGram = "identity"
+    """W: identity, inverse_gram (17), or by the noise: {kind: ar, a: [...]} or {kind: estimated_ar}.
+
+    {kind: inverse_gram, of: {kind: ar, a: [...]}} is that of theorem 3.
+    """
 
     @field_validator("weight", mode="before")
     @classmethod
     def _choose_weight(cls, value: Any) -> Any:
-        if isinstance(value, KnownAr | EstimatedAr) or (isinstance(value, str) and value in _PLAIN):
+        if isinstance(value, KnownAr | EstimatedAr | InverseGram) or (
+            isinstance(value, str) and value in _PLAIN
+        ):
             return value
         kind = value.get("kind") if isinstance(value, Mapping) else value
         if not isinstance(kind, str) or kind not in _WEIGHTS:
             raise ValueError(
-                f"must be {one_of(_PLAIN)} or a mapping with 'kind: ar' or 'kind: estimated_ar'"
-                f"{did_you_mean(str(kind), (*_PLAIN, *_WEIGHTS))}"
+                f"must be {one_of(_PLAIN)} or a mapping with 'kind: ar', 'kind: estimated_ar' or "
+                f"'kind: inverse_gram'{did_you_mean(str(kind), (*_PLAIN, *_WEIGHTS))}"
             )
         return _WEIGHTS[kind].model_validate(value if isinstance(value, Mapping) else {"kind": kind})
 
@@ -183,10 +201,13 @@ class WeightedSpec(LaggedSpec):
             return Weighted(plain, plain)
         if self.weight == "inverse_gram":
             return Weighted(Regression.of(phi, self.lags, inverse_gram(plain)), plain)
-        if isinstance(self.weight, KnownAr):
-            known = ArModel(np.array(self.weight.a))
+        if isinstance(self.weight, KnownAr | InverseGram):
+            noise = self.weight.of if isinstance(self.weight, InverseGram) else self.weight
+            known = ArModel(np.array(noise.a))
             white = Regression.of(phi, self.lags, partial(known.whiten, parts=parts))
-            return Weighted(white, white)
+            if isinstance(self.weight, KnownAr):
+                return Weighted(white, white)
+            return Weighted(Regression.of(phi, self.lags, inverse_gram(white)), white)
         white, model = estimate_noise(plain, y, self.weight, parts)
         return Weighted(white, white, (len(model.a),))
 
@@ -204,26 +225,36 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
         return [*with_errors(self.parameters()), "loss", *self.noise_names()]
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
-        [found] = self.fit_many([record])
+        [found] = self._fitted([record], rng)
         if isinstance(found, EstimationError):
             raise found
         return found
 
     def fit_many(self, records: Sequence[Record]) -> list[Estimate | EstimationError]:
         """Records of one input share the regressors and their weights, unless the output decides these."""
+        return self._fitted(records)
+
+    def _fitted(
+        self, records: Sequence[Record], rng: np.random.Generator | None = None
+    ) -> list[Estimate | EstimationError]:
         first = records[0]
         apart = isinstance(self.weight, EstimatedAr) or any(
             record.u is not first.u or record.experiments != first.experiments for record in records
         )
         if apart and len(records) > 1:
-            return [found for record in records for found in self.fit_many([record])]
+            return [found for record in records for found in self._fitted([record])]
         y = np.stack([self.outputs(record) for record in records])
         phi, parts = self.design(first)
-        found = self.solved(self.weighted(phi, y[0], parts), y, first)
+        found = self.solved(self.weighted(phi, y[0], parts), y, first, rng)
         return [self.responding(one, first.dt) if isinstance(one, Estimate) else one for one in found]
 
-    def solved(self, weighted: Weighted, y: Array, record: Record) -> list[Estimate | EstimationError]:
-        """The estimates from the outputs ``y`` (T, rows) of T trials with the input of ``record``."""
+    def solved(
+        self, weighted: Weighted, y: Array, record: Record, rng: np.random.Generator | None = None
+    ) -> list[Estimate | EstimationError]:
+        """The estimates from the outputs ``y`` (T, rows) of T trials with the input of ``record``.
+
+        ``rng`` is the stream of the one trial of an estimator that draws.
+        """
         raise NotImplementedError
 
     def estimates(
@@ -266,7 +297,9 @@ class TwoStage(WeightedBilinearSpec):
     [1.0, 0.6, -0.8]
     """
 
-    def solved(self, weighted: Weighted, y: Array, record: Record) -> list[Estimate | EstimationError]:
+    def solved(
+        self, weighted: Weighted, y: Array, record: Record, rng: np.random.Generator | None = None
+    ) -> list[Estimate | EstimationError]:
         found = two_stage(weighted.regression, y)
         variance = weighted.white.variance(y, weighted.white.theta(y))
         errors = weighted.white.standard_errors(found.b, found.a, variance)
