@@ -13,7 +13,7 @@ from hident.config.spec import canonical
 from hident.engine.experiment import load
 
 ROOT = Path(__file__).parents[2]
-LEFT = ("cases", "estimators", "metrics", "published")
+LEFT = ("cases", "estimators", "metrics", "published", "alternatives")
 FIRST = sorted((ROOT / "tests" / "data" / "version_1").glob("*.yaml"))
 
 

@@ -64,8 +64,19 @@ def test_table_3_gives_the_printed_steady_states():
     assert {v.word for v in found.values()} == {"exact"}
 
 
+def test_the_horizons_and_settling_times_of_examples_1_and_2_come_out():
+    found = judged("text")
+    assert len(found) == 14
+    assert {v.word for v in found.values()} == {"exact"}
+    horizons = {v.printed.printed for (_, quantity), v in found.items() if quantity == "N"}
+    assert horizons == {"55", "43", "185", "68", "175", "27", "107"}
+    for row, settling in (("linear element", 10.8), ("process", 10.1)):
+        assert found[row, "settling time"].ours == pytest.approx(settling, abs=0.05)
+
+
 def test_example_3_finds_the_time_constant():
     found = judged("example3")
+    assert len(found) == 5
     assert differing(found) == {("theory", "time constant")}
     theory = found["theory", "time constant"]
     assert "14.0 cm" in theory.reason
@@ -78,12 +89,15 @@ def test_example_3_finds_the_time_constant():
 
 def test_example_4_finds_one_time_constant_around_three_steady_states():
     found = judged("example4")
-    assert len(found) == 9
+    assert len(found) == 14
     assert differing(found) == {("q_b=14.2", "b0")}
     for flow in ("13.5", "14.2", "15"):
         assert found["steady states", f"pH at q_b={flow}"].word == "exact"
+        assert found[f"q_b={flow}", "eta of stage 2"].word == "exact"
         a_1 = found[f"q_b={flow}", "a1"]
         assert a_1.ours == pytest.approx(1.0 / (14.2 + float(flow)), rel=0.05)
+    for flow in ("13.5", "15"):
+        assert found["process", f"V/(q_a + q_b) at q_b={flow}"].word == "exact"
     gains = [found[f"q_b={flow}", "b0"].ours for flow in ("13.5", "14.2", "15")]
     assert max(gains) > 10 * min(gains)
 

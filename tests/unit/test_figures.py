@@ -52,6 +52,21 @@ def test_a_curve_shows_statistic_band_printed_numbers_and_slope(tmp_path, draw):
     assert [text.get_text() for text in axes.get_legend().get_texts()] == list(lines)
 
 
+def test_a_curve_may_have_bars_and_a_level_beside_it(tmp_path, draw):
+    values = {("one", str(n)): np.linspace(1.0, 2.0, 21) for n in (10, 100, 1000)}
+    rest = CURVE.replace(
+        "statistic: median", "statistic: mean\n    band: false\n    bars: true\n    level: 1.5"
+    )
+    results = made(tmp_path, values, rest=rest)
+    axes = draw(results).axes[0]
+    reach = 2.0 * np.std(np.linspace(1.0, 2.0, 21), ddof=1) / np.sqrt(21)
+    bars = axes.collections[0].get_segments()
+    assert len(bars) == 3
+    for n, bar in zip((10, 100, 1000), bars, strict=True):
+        assert bar == pytest.approx(np.array([[n, 1.5 - reach], [n, 1.5 + reach]]))
+    assert [1.5, 1.5] in [list(line.get_ydata()) for line in axes.lines]
+
+
 def test_curves_differ_without_colour(tmp_path, draw):
     axes = draw(made(tmp_path, {}, rest=CURVE)).axes[0]
     curves = [line for line in axes.lines if line.get_label() in ("one", "two")]

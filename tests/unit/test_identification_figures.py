@@ -410,6 +410,25 @@ class TestStaticFit:
         found = replace(Stated().fit(_record(), None), nonlinearity=None, continuous=LINEAR.scaled(3.0))
         assert StaticCurve(estimator="one").of(found, np.array([-2.0, 1.5])) == pytest.approx([-6.0, 4.5])
 
+    def test_a_curve_may_end_where_the_trial_does(self, draw):
+        shown = STATIC.replace("show: [points, smoothed]", "show: [curve, points]")
+        shown = shown.replace("interval: [-2, 2]", "interval: [-9, 9]")
+        whole = lines_of(draw("static_fit", shown).axes[1])["one"].get_ydata()
+        lines = lines_of(draw("static_fit", shown + "    beyond: false\n").axes[1])
+        reached = lines["one, points"].get_xdata()
+        x, y = lines["one"].get_data()
+        inside = (x >= reached.min()) & (x <= reached.max())
+        assert 0 < np.count_nonzero(inside) < len(x)
+        np.testing.assert_array_equal(y, np.where(inside, whole, np.nan))
+
+    @pytest.mark.parametrize(("order", "terms"), [(1, [1]), (2, [1, 0]), (3, [1, 0, -1 / 3])])
+    def test_the_expansion_of_the_truth_stands_beside_it(self, draw, order, terms):
+        lines = lines_of(draw("static_fit", STATIC + f"    expansion: {order}\n").axes[1])
+        x, y = lines[f"its expansion of order {order}"].get_data()
+        expected = sum(term * x ** (i + 1) for i, term in enumerate(terms))
+        # An interpolation, whose own error is smaller still.
+        assert y == pytest.approx(expected, abs=1e-4)
+
     def test_one_legend_names_everything_once(self, draw):
         (legend,) = draw("static_fit", STATIC).legends
         texts = [text.get_text() for text in legend.get_texts()]
@@ -438,6 +457,10 @@ class TestConvergence:
         assert lines_of(score)["two, not converged"].get_ydata() == pytest.approx(np.full(9, expected))
         assert score.get_ylabel() == "percent error of linear parameters, %"
         assert parameter.get_ylabel() == "$a_{1}$"
+
+    def test_a_true_value_of_another_name(self, draw):
+        parameter, _ = draw("convergence", CONVERGENCE + "truths: {a_1: steady_input}\n").axes
+        assert lines_of(parameter)["true"].get_ydata() == pytest.approx([STEADY_INPUT] * 2)
 
     def test_later_iterations_may_be_left_out(self, draw):
         parameter, score = draw("convergence", CONVERGENCE + "last: 3\n").axes

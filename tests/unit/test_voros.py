@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from hident.errors import EstimationError
+from hident.errors import ConfigError, EstimationError
 from hident.estimators.convergence import History
 from hident.estimators.discrete_response import at_step
 from hident.estimators.voros.voros_hammerstein import (
@@ -56,6 +56,19 @@ class TestRecoveryWithoutNoise:
         np.testing.assert_allclose(found.linear.b, LINEAR.b, rtol=0, atol=1e-8)
         np.testing.assert_allclose(found.nonlinearity.f, TWO_SEGMENTS.f, rtol=0, atol=1e-8)
         np.testing.assert_allclose(found.nonlinearity.g, TWO_SEGMENTS.g, rtol=0, atol=1e-8)
+
+    @pytest.mark.parametrize("key", [1, 2, 3])
+    def test_hammerstein_with_the_key_term_on_any_lag(self, key):
+        u, block = excited(), TransferFunction(b=(0.0, 0.8, 1.0, 0.8), a=(0.9, -0.3))
+        spec = settled(HAMMERSTEIN, m=3, key=key, relaxation=0.5)
+        found = spec.fit(Record(u, block.filter(TWO_SEGMENTS(u))), RNG)
+        assert found.values["converged"] == 1.0
+        assert found.values[f"b_{key}"] == 1.0
+        np.testing.assert_allclose(found.linear.a, block.a, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(found.linear.b, np.array(block.b) / block.b[key], rtol=0, atol=1e-8)
+        np.testing.assert_allclose(
+            found.nonlinearity.f, block.b[key] * np.array(TWO_SEGMENTS.f), rtol=0, atol=1e-8
+        )
 
     @pytest.mark.parametrize("relaxation", [0.5, 0.2])
     def test_wiener(self, relaxation):
@@ -243,6 +256,15 @@ class TestErrors:
             r"use a shorter step or a longer record$",
         ):
             spec.check(110, 0.1)
+
+    @pytest.mark.parametrize("key", [0, 3])
+    def test_a_key_term_on_no_lag(self, key):
+        with pytest.raises(
+            ConfigError,
+            match=rf"'key' must be a lag of the numerator, 1 to 2, not {key}: set 'delay' and 'm' so that "
+            r"they hold it",
+        ):
+            VorosHammerstein(n=2, m=2, degree=3, key=key)
 
     def test_without_a_step_any_interval_does(self):
         HAMMERSTEIN.check(12, 0.37)

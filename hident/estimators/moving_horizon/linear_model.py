@@ -62,7 +62,7 @@ class LinearModel(MovingHorizonSpec):
         return (known_function("the nonlinearity is u", np.positive),)
 
     def names(self) -> list[str]:
-        return [*regression_names(self.block.most), "n", "m", "delay", "settling_time"]
+        return [*regression_names(self.block.most), "n", "m", "delay", "settling_time", "horizons"]
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         dt, eta = self.sampling_interval(record), self.block.horizon
@@ -82,6 +82,6 @@ class LinearModel(MovingHorizonSpec):
         return Estimate(
             continuous=block,
             response=block.respond,
-            values=self.named(values, *structure_of(block), block.settling_time()),
+            values=self.named(values, *structure_of(block), block.settling_time(), found.horizons.count),
             details=found_searches(None, search),
         )

@@ -15,12 +15,12 @@ taken from the iteration before.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from hident.arrays import Array, Characteristic, Index
 from hident.config.spec import Count, Real, component
@@ -60,6 +60,11 @@ class Structure:
     m: int
     delay: int
     degree: int
+
+    @property
+    def lags(self) -> range:
+        """The lags of b."""
+        return range(self.delay, self.delay + self.m)
 
     @property
     def first(self) -> int:
@@ -104,7 +109,7 @@ def instants(parts: Parts, first: int) -> Index:
     return np.concatenate([np.arange(part.start + first, part.stop) for part in longer_than(parts, first)])
 
 
-def delayed(rows: Array, lags: range, at: Index) -> Array:
+def delayed(rows: Array, lags: Sequence[int], at: Index) -> Array:
     """``rows`` (N,) at t - lag for each lag and each t in ``at``; shape (at, lags)."""
     return rows[at[:, None] - np.asarray(lags, dtype=np.intp)]
 
@@ -273,9 +278,14 @@ class VorosSpec(AtOneInterval):
 
 
 def voros_hammerstein(
-    u: Array, y: Array, structure: Structure, rule: Rule, parts: Parts | None = None
+    u: Array,
+    y: Array,
+    structure: Structure,
+    rule: Rule,
+    parts: Parts | None = None,
+    key: int | None = None,
 ) -> Iterations:
-    """Fit y(t) = sum a_i y(t-i) + x(t-delay) + sum b_i x(t-i), i > delay, to a two-segment polynomial x of u.
+    """Fit y(t) = sum a_i y(t-i) + x(t-key) + sum b_i x(t-i), i not key, to a two-segment polynomial x of u.
 
     Parameters
     ----------
@@ -287,11 +297,13 @@ def voros_hammerstein(
         The relaxation and when to stop.
     parts : sequence of slices, optional
         Where the experiments stand; one by default.
+    key : int, optional
+        The lag of the key term; the first one by default.
 
     Returns
     -------
     Iterations
-        With theta = (a_1, ..., a_n, b_delay = 1, ..., f_1, ..., f_r, g_1, ..., g_r).
+        With theta = (a_1, ..., a_n, b_delay, ..., f_1, ..., f_r, g_1, ..., g_r), of which b_key is 1.
 
     Raises
     ------
@@ -300,21 +312,24 @@ def voros_hammerstein(
 
     Notes
     -----
-    Voros 1999. The key term is b_delay x(t-delay) with b_delay = 1. Voros's second polynomial is the
-    difference g - f, which spans the same. The iteration starts with all other b_i at zero, where no
-    internal variable is needed.
+    Voros 1999. The key term is b_key x(t-key) with b_key = 1; his is the first lag's, and any other serves,
+    best that of a large coefficient. Voros's second polynomial is the difference g - f, which spans the
+    same. The iteration starts with all other b_i at zero, where no internal variable is needed.
     """
-    n, delay, at = structure.n, structure.delay, instants(parts or whole(len(u)), structure.first)
+    n, at = structure.n, instants(parts or whole(len(u)), structure.first)
+    place = 0 if key is None else structure.lags.index(key)
+    key = structure.lags[place]
+    others = [lag for lag in structure.lags if lag != key]
     basis = segments(u, structure.degree)
-    known = np.hstack([delayed(y, range(1, n + 1), at), basis[at - delay]])
+    known = np.hstack([delayed(y, range(1, n + 1), at), basis[at - key]])
 
     def update(x: Array) -> tuple[Array, Array]:
-        unknown = delayed(x, range(delay + 1, delay + structure.m), at)
+        unknown = delayed(x, others, at)
         a, c, b = np.split(solve(np.hstack([known, unknown]), y[at]), [n, known.shape[1]])
-        return np.concatenate((a, [1.0], b, c)), basis @ c
+        return np.concatenate((a, np.insert(b, place, 1.0), c)), basis @ c
 
     a, c = np.split(solve(known, y[at]), [n])
-    start = np.concatenate((a, [1.0], np.zeros(structure.m - 1), c))
+    start = np.concatenate((a, np.insert(np.zeros(structure.m - 1), place, 1.0), c))
     return iterate(update, start, basis @ c, rule)
 
 
@@ -322,7 +337,7 @@ def voros_hammerstein(
 class VorosHammerstein(VorosSpec):
     """Hammerstein system with a two-segment polynomial, discrete, by key-term separation.
 
-    The first b is 1, so that the static gain lies in the nonlinearity. Both polynomials vanish at zero.
+    The key term's b is 1, so that the static gain lies in the nonlinearity. Both polynomials vanish at zero.
 
     Examples
     --------
@@ -334,11 +349,25 @@ class VorosHammerstein(VorosSpec):
     0.5
     """
 
+    key: Annotated[Count, Field(ge=0)] | None = None
+    """Lag of the key term, whose b is 1: the first by default, as Voros has it; best that of a large b."""
+
+    @model_validator(mode="after")
+    def _key_is_a_lag(self) -> Self:
+        lags = self.structure().lags
+        if self.key is not None and self.key not in lags:
+            raise ValueError(
+                f"'key' must be a lag of the numerator, {lags[0]} to {lags[-1]}, not {self.key}: "
+                "set 'delay' and 'm' so that they hold it"
+            )
+        return self
+
     def normalisations(self) -> tuple[Normalisation, ...]:
-        return (first_coefficient(self.delay, values="b f g", step=self.step),)
+        lag = self.delay if self.key is None else self.key
+        return (first_coefficient(lag, values="b f g", step=self.step),)
 
     def identify(self, u: Array, y: Array, parts: Parts) -> Iterations:
-        return voros_hammerstein(u, y, self.structure(), self.rule(), parts)
+        return voros_hammerstein(u, y, self.structure(), self.rule(), parts, self.key)
 
     def simulate(self, nonlinearity: Characteristic, linear: TransferFunction, u: Array) -> Array:
         return linear.filter(nonlinearity(u))

@@ -15,7 +15,7 @@ from hident.engine.experiment import Plan, Statistic
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Beside, Verdict, beside
 from hident.reports.base import FigureSpec, Misfit, unscored
-from hident.reports.style import LINES, band_edge, label_edges, panel_rows
+from hident.reports.style import LINES, TRUE_LEVEL, band_edge, label_edges, panel_rows
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,6 +48,10 @@ class Curve(FigureSpec):
     """Draw the square root, as for a mean squared error."""
     band: Flag = True
     """Shade from the 5 % to the 95 % quantile of the trials."""
+    bars: Flag = False
+    """Draw bars of two standard errors of the statistic to either side."""
+    level: Real | None = None
+    """A level to hold the curves against, drawn as a line."""
     x_label: str
     """Label of the abscissa, with its unit."""
     y_label: str
@@ -118,6 +122,10 @@ class Curve(FigureSpec):
             for edge in (low, high):
                 axes.plot(x, edge, **band_edge(line))
         axes.plot(x, heights(self.statistic), label=name, **line)
+        if self.bars:
+            middle = np.array([series.statistics[self.statistic] for series in curve])
+            reach = 2.0 * np.array([series.standard_error(self.statistic) for series in curve])
+            axes.vlines(x, rooted(middle - reach), rooted(middle + reach), color=line["color"], linewidth=1.0)
         theirs = [printed.get((id(series), self.statistic)) for series in curve]
         if any(theirs):
             values = np.array([np.nan if v is None else v.printed.value for v in theirs])
@@ -135,6 +143,8 @@ class Curve(FigureSpec):
             )
 
     def _finish(self, axes: Axes, curves: Sequence[Sequence[Series]]) -> None:
+        if self.level is not None:
+            axes.axhline(self.level, **TRUE_LEVEL)
         if self.log_x:
             axes.set_xscale("log")
         if self.log_y:

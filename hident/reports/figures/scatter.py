@@ -16,7 +16,7 @@ from hident.ledger.verdicts import Verdict, beside_trials
 from hident.metrics.base import MetricSpec
 from hident.metrics.values import Value
 from hident.reports.base import FigureSpec
-from hident.reports.style import LINES, TRUE_LEVEL, legend_above, panel_grid
+from hident.reports.style import LINES, TRUE_LEVEL, few_log_ticks, legend_above, panel_grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -105,6 +105,8 @@ class Scatter(FigureSpec):
             if self.log:
                 axes.set_xscale("log")
                 axes.set_yscale("log")
+                for axis in (axes.xaxis, axes.yaxis):
+                    few_log_ticks(axis)
         legend_above(figure)
         return figure
 

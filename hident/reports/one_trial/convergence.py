@@ -12,13 +12,15 @@ from pydantic import Field, model_validator
 from hident.arrays import Array
 from hident.config.references import Metric
 from hident.config.spec import Count, Flag, NonEmpty, component
+from hident.engine.experiment import Plan
 from hident.engine.replay import OneTrial, Realised
 from hident.engine.results import Results
 from hident.estimators.convergence import History
 from hident.ledger.verdicts import Verdict
 from hident.metrics.base import MetricSpec
 from hident.records import Estimate, needed
-from hident.reports.one_trial.base import OneTrialFigure, Shown, list_failures
+from hident.reports.base import Misfit
+from hident.reports.one_trial.base import OneTrialFigure, Shown, list_failures, offset_misfits
 from hident.reports.style import TRUE_LEVEL, legend_above, looks, panel_grid, symbol
 
 if TYPE_CHECKING:
@@ -41,6 +43,8 @@ class Convergence(OneTrialFigure):
     """Labels of metrics that score every iterate, one panel each."""
     y_labels: dict[str, str] = {}
     """Labels of ordinates by parameter or metric, with their units; the name by default."""
+    truths: dict[str, str] = {}
+    """True values of the system by parameter, where their names differ: {a_1: time_constant}."""
     log_y: Flag = False
     """Logarithmic ordinate."""
     last: Annotated[Count, Field(ge=1)] | None = None
@@ -54,7 +58,12 @@ class Convergence(OneTrialFigure):
             raise ValueError("give 'of', names of parameters, or 'metrics', labels of metrics")
         if strange := [name for name in self.y_labels if name not in (*self.of, *self.metrics)]:
             raise ValueError(f"y_labels names {', '.join(strange)}, which is not shown")
+        if strange := [name for name in self.truths if name not in self.of]:
+            raise ValueError(f"truths names {', '.join(strange)}, which is not shown")
         return self
+
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        yield from offset_misfits(plan, ("truths",), self.curves[:1], self.truths)
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         from matplotlib.ticker import MaxNLocator
@@ -78,8 +87,9 @@ class Convergence(OneTrialFigure):
                 axes.plot(heights, label=label, markevery=step, **lines[curve.text])
         truth = trial.of(self.curves[0].estimator, self.curves[0].at).truth
         for name, axes in zip(names, grid, strict=True):
-            if name in self.of and name in truth.values:
-                axes.axhline(truth.values[name], label="true", **TRUE_LEVEL)
+            true = truth.values.get(self.truths.get(name, name))
+            if name in self.of and true is not None:
+                axes.axhline(true, label="true", **TRUE_LEVEL)
             if self.log_y:
                 axes.set_yscale("log")
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -15,7 +15,7 @@ from hident.engine.results import Results
 from hident.estimators.moving_horizon.searches import PartitionSearch, StructureSearch
 from hident.ledger.verdicts import Verdict
 from hident.reports.one_trial.base import NOTE, OneTrialFigure, Shown, say_failed
-from hident.reports.style import LINES, Look, legend_above, panel_grid
+from hident.reports.style import LINES, Look, few_log_ticks, legend_above, panel_grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,17 +89,13 @@ class Search(OneTrialFigure):
 
 def draw_structure(axes: Axes, search: StructureSearch) -> str:
     """The error against n, one line for each m, and a ring around the chosen structure; returns its words."""
-    from matplotlib.ticker import LogLocator, NullLocator
-
     orders = np.unique(search.n)
     for i, m in enumerate(np.unique(search.m)):
         best = [np.min(search.error[(search.n == n) & (search.m == m)], initial=np.inf) for n in orders]
         errors = np.where(np.isfinite(best), best, np.nan)
         axes.plot(orders, errors, label=f"m = {m}", **LINES[i % len(LINES)])
     axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_locator(NullLocator())
+    few_log_ticks(axes.yaxis)
     low, high = axes.get_ylim()
     # A candidate that is far worse than no model at all would flatten the others.
     axes.set_ylim(low, max(min(high, _WORST), 2.0 * low))

@@ -6,16 +6,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
+from numpy.polynomial import Chebyshev, Polynomial
 from pydantic import Field
 
 from hident.arrays import Array
-from hident.config.spec import Count, Interval, NonEmpty, Spec, component
+from hident.config.spec import Count, Flag, Interval, NonEmpty, Spec, component
 from hident.config.yaml12 import Location
 from hident.engine.experiment import Plan
 from hident.engine.replay import OneTrial, Realised
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
-from hident.records import Estimate, needed
+from hident.records import Estimate, Truth, needed
 from hident.reports.base import Misfit
 from hident.reports.one_trial.base import (
     Offset,
@@ -33,6 +34,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _POINTS = 2001
+EXPANSION: Look = {"color": "0.5", "linestyle": ":", "linewidth": 1.6}
+# A Taylor polynomial is interpolated within this share of the interval, with so many orders more.
+_NEAR, _MORE = 0.02, 4
 _PARTITION = {"input": ("u_-1", "u_1"), "output": ("y_-1", "y_1")}
 
 
@@ -84,6 +88,10 @@ class StaticPanel(Spec):
     """Added to the ordinate: a number, or the name of a true value such as steady_output."""
     partition: Literal["input", "output"] | None = None
     """Mark the partition points on the abscissa (input: u_-1, u_1) or the ordinate (output: y_-1, y_1)."""
+    beyond: Flag = True
+    """Draw the curves beyond the range of the internal variable that the trial reached, too."""
+    expansion: Annotated[Count, Field(ge=1, le=5)] | None = None
+    """Order of the truth's Taylor polynomial around the origin, drawn beside it; none by default."""
 
     def misfits(self, plan: Plan, place: Location) -> Iterator[Misfit]:
         """What cannot be shown of this plan."""
@@ -142,6 +150,10 @@ def draw_static(axes: Axes, panel: StaticPanel, trial: OneTrial, lines: Mapping[
     truth = trial.of(panel.curves[0].estimator, panel.curves[0].at).truth
     x = shown - offset_of(truth, panel.x_offset)
     axes.plot(shown, true_curve(truth, x) + offset_of(truth, panel.y_offset), label="true", **TRUTH)
+    if panel.expansion is not None:
+        near = _NEAR * (panel.interval[1] - panel.interval[0])
+        y = taylor(truth, panel.expansion, near)(x) + offset_of(truth, panel.y_offset)
+        axes.plot(shown, y, label=f"its expansion of order {panel.expansion}", **EXPANSION)
     failures = []
     for place, curve in enumerate(panel.curves):
         realised = trial.of(curve.estimator, curve.at)
@@ -169,6 +181,9 @@ def _draw_estimate(
         shown = np.linspace(*panel.interval, _POINTS)
         with np.errstate(all="ignore"):
             y = curve.of(found, shown - x_offset)
+        if not panel.beyond:
+            reached = realised.detail("internal_variable")[0]
+            y[(shown - x_offset < reached.min()) | (shown - x_offset > reached.max())] = np.nan
         axes.plot(shown, y + y_offset, label=curve.text, zorder=5, **line)
     if "smoothed" in curve.show:
         x, y = realised.detail("smoothed")
@@ -179,6 +194,13 @@ def _draw_estimate(
         points = np.array([found.values[name] for name in _PARTITION[panel.partition]])
         offset = x_offset if panel.partition == "input" else y_offset
         _mark(axes, panel.partition, points + offset, line)
+
+
+def taylor(truth: Truth, order: int, near: float) -> Polynomial:
+    """The Taylor polynomial of the true characteristic around zero, by interpolation within ``near``."""
+    nonlinearity = needed(truth.nonlinearity)
+    found = Chebyshev.interpolate(nonlinearity, order + _MORE, [-near, near])
+    return found.convert(kind=Polynomial).cutdeg(order)
 
 
 def _mark(axes: Axes, axis: str, points: Array, line: Look) -> None:
