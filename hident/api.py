@@ -416,7 +416,7 @@ def power(
     experiment, overrides
         As in :func:`validate`.
     trials : int, optional
-        Trials of each alternative: at most those of the experiment, by default at most 100.
+        Trials of each alternative: at most those of the experiment, by default at most 40.
     store, executor
         As in :func:`run`.
 

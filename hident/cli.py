@@ -274,8 +274,10 @@ def validate(
     All errors of all files are shown at once.
     """
     from hident.commands.plans import described
+    from hident.engine.alternatives import check_alternatives
 
     for plan in _plans(configs, assignments, trials, seed, plugin):
+        check_alternatives(plan)
         print(described(plan))
 
 
@@ -320,7 +322,7 @@ def power(
     trials: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Trials of each alternative; 100 by default, and no more than the configuration's."
+            min=1, help="Trials of each alternative; 40 by default, and no more than the configuration's."
         ),
     ] = None,
     jobs: Jobs = None,
@@ -338,11 +340,14 @@ def power(
     """
     from hident.commands.log_file import logging_to
     from hident.commands.running import bench
+    from hident.engine.alternatives import check_alternatives
 
     plans = _plans(configs, assignments, None, None, plugin, trial_timeout)
     plans = [plan for plan in plans if plan.experiment.alternatives]
     if not plans:
         raise NothingToCompare("no configuration that is named has 'alternatives'")
+    for plan in plans:
+        check_alternatives(plan)
     with logging_to(log), bench(plans, out, store, wait, jobs, plugin or (), quiet) as place:
         place.power(trials)
 

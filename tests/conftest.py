@@ -146,7 +146,7 @@ class Lab:
 
     def _arguments(self, arguments: tuple[str, ...]) -> list[str]:
         plugin = ["--plugin", "probe.py"] if (self.folder / "probe.py").exists() else []
-        takes = arguments[:1] and arguments[0] in ("run", "status", "export", "validate", "accept")
+        takes = arguments[:1] and arguments[0] in ("run", "power", "status", "export", "validate", "accept")
         return [*arguments, *(plugin if takes else [])]
 
     def hident(

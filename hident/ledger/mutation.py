@@ -13,7 +13,7 @@ from hident.ledger.power import Mutation, NumberPower, VerdictPower
 from hident.ledger.published import Key
 from hident.ledger.verdicts import LEVEL, Verdict, group_p, grouped, is_same_data, stand
 
-TRIALS = 100
+TRIALS = 40
 """Of an alternative, at most: its verdicts need fewer than those of the configuration."""
 
 

@@ -529,3 +529,54 @@ def test_a_reader_that_goes_away_is_no_error(lab: Lab) -> None:
     assert (done.stdout, done.stderr) == ("{\n", "")
     # The code says what was found, whoever reads it.
     assert done.returncode == 0
+
+
+# Alternatives
+
+
+def test_alternatives_are_run_accepted_and_change_the_verdicts(done: Lab) -> None:
+    """A number agrees once some alternative is known that would not give it."""
+    paper = done.folder / "experiments/paper"
+    alternatives = {"far": {"metrics.a.kind": "value"}, "near": {"statistic": "median"}}
+    done.configure(paper="paper", published=_PUBLISHED, alternatives=alternatives)
+    table = pd.read_csv(done.folder / "out/tiny/table.csv").set_index(["samples", "estimator"])
+    near = f"{table.loc[(80, 'iv'), 'mean'] * 1.0001:.6f}"
+    (paper / "published.csv").write_text(
+        f"table,row,quantity,printed,note\nT,N=50,a,0.0,\nT,N=80,a,{near},\n"
+    )
+
+    def verdicts() -> list[tuple[str, int, int]]:
+        rows = pd.read_csv(done.folder / "out/tiny/verdicts.csv")
+        return [*rows[["verdict", "excluded", "alternatives"]].itertuples(index=False, name=None)]
+
+    (paper / "reasons.yaml").write_text("reasons: []\n")
+    done.run()
+    assert verdicts()[1] == ("untestable", 0, 0)
+    owed = done.hident("verify", code=1).stdout
+    assert "alternatives: tiny: its alternatives were not run: hident power tiny" in owed
+    shown = done.hident("power", "tiny.yaml", "--jobs", "1", "--trials", "5").stdout
+    assert "## T: mutation score" in shown
+    assert "| far " in shown
+    assert done.hident("accept", "--power", "tiny").stdout == "tiny: new\n"
+    assert "no difference" in done.hident("compare", "out/power", "results/power").stdout
+    done.run()
+    assert verdicts()[1] == ("agrees", 1, 2)
+    state = json.loads(done.hident("verify", "--json").stdout)
+    (table,) = state["tables"]
+    assert (table["tried"], table["counts"]["agrees"]) == (2, 1)
+    assert state["alternatives"] == []
+    # What was run for another configuration says nothing of this one.
+    done.configure(seed=5)
+    done.run()
+    assert "were run for another configuration" in done.hident("verify", code=1).stdout
+
+
+def test_alternatives_that_cannot_be_run_are_refused_before_anything_is_run(done: Lab) -> None:
+    alternatives = {"far": {"system.linear.b": [0.9]}, "nowhere": {"estimators.*.lag": 3}}
+    done.configure(paper="paper", published=_PUBLISHED, alternatives=alternatives)
+    said = done.hident("validate", "tiny.yaml", code=2).stderr
+    assert "alternatives.nowhere.estimators.*.lag: leads nowhere" in said
+    assert "unknown key" in said
+    assert said == done.hident("power", "tiny.yaml", code=2).stderr
+    done.configure(alternatives={})
+    assert "has 'alternatives'" in done.hident("power", "tiny.yaml", code=4).stderr
