@@ -563,7 +563,7 @@ def test_alternatives_are_run_accepted_and_change_the_verdicts(done: Lab) -> Non
     assert verdicts()[1] == ("agrees", 1, 2)
     state = json.loads(done.hident("verify", "--json").stdout)
     (table,) = state["tables"]
-    assert (table["tried"], table["counts"]["agrees"]) == (2, 1)
+    assert (table["tried"], table["counts"]) == (2, {"agrees": 2})
     assert state["alternatives"] == []
     # What was run for another configuration says nothing of this one.
     done.configure(seed=5)
