@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from hident.engine.alternatives import alternative_plan
 from hident.engine.experiment import Plan, Published
@@ -24,11 +24,14 @@ def measured(plan: Plan, run: Callable[[str, Plan], Results], trials: int | None
     """
     published = plan.experiment.published
     assert published is not None
-    wanted = plan.trials if is_same_data(published, plan.trials) else trials or TRIALS
+    digits = is_same_data(published, plan.trials)
+    wanted = plan.trials if digits else trials or TRIALS
     numbers: dict[Key, tuple[str, dict[str, bool]]] = {}
     mutations: list[Mutation] = []
     # Each is looked at before the first is run.
     plans = {name: alternative_plan(plan, name, wanted) for name in plan.experiment.alternatives}
+    # Of equal data digits decide, and some of ours may differ themselves.
+    own = _differing(stand(run("itself", plan))) if digits else frozenset()
     for name, alternative in plans.items():
         verdicts = stand(run(name, alternative))
         tables: dict[str, list[Verdict]] = {}
@@ -36,7 +39,7 @@ def measured(plan: Plan, run: Callable[[str, Plan], Results], trials: int | None
             _, excluded = numbers.setdefault(verdict.printed.key, (verdict.printed.printed, {}))
             excluded[name] = excluded.get(name, False) or verdict.word == "differs"
             tables.setdefault(verdict.printed.table, []).append(verdict)
-        mutations += [_mutation(table, name, found, published) for table, found in tables.items()]
+        mutations += [_mutation(table, name, found, published, own) for table, found in tables.items()]
     order = list(plan.experiment.alternatives)
     return VerdictPower(
         {key: NumberPower(*numbers[key]) for key in sorted(numbers)},
@@ -44,13 +47,17 @@ def measured(plan: Plan, run: Callable[[str, Plan], Results], trials: int | None
     )
 
 
-def _mutation(table: str, name: str, verdicts: Sequence[Verdict], published: Published) -> Mutation:
-    excluding = sum(verdict.word == "differs" for verdict in verdicts)
+def _differing(verdicts: Iterable[Verdict]) -> frozenset[Key]:
+    return frozenset(verdict.printed.key for verdict in verdicts if verdict.word == "differs")
+
+
+def _mutation(
+    table: str, name: str, verdicts: Sequence[Verdict], published: Published, own: frozenset[Key]
+) -> Mutation:
+    differing = _differing(verdicts)
     trials = len(verdicts[0].series.values)
     p = combined_p(group_p(group, trials, published) for group in grouped(verdicts))
-    if not math.isnan(p):
-        rejected = p < LEVEL or any(not len(verdict.series.valid) for verdict in verdicts)
-    else:
-        # Digits, bounds, or estimates that all fail.
-        rejected = bool(excluding)
-    return Mutation(table, name, len(verdicts), excluding, p, rejected)
+    # Without one there are digits, bounds, or estimates that all fail.
+    rejected = bool(differing - own) if math.isnan(p) else p < LEVEL
+    rejected = rejected or any(not len(verdict.series.valid) for verdict in verdicts)
+    return Mutation(table, name, len(verdicts), len(differing), p, rejected)

@@ -1,0 +1,62 @@
+"""What the accepted verdicts can tell: the table in README.md, and that no score has fallen unseen."""
+
+import math
+import re
+
+import pytest
+
+from hident import plugins
+from hident.engine.alternatives import check_alternatives
+from hident.engine.experiment import load
+from hident.ledger.verify import verify
+from tests.accepted import ROOT
+
+CONFIGS = sorted(
+    path
+    for path in (ROOT / "configs").glob("*.yaml")
+    if re.search(r"^published:", path.read_text(encoding="utf-8"), re.MULTILINE)
+)
+HEADER = (
+    "| table | configuration | numbers | exact | agrees | untestable | differs | joint p | mutation score |\n"
+    "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |\n"
+)
+PAPERS = {"mzyk": "Mzyk", "wang": "Wang", "chen": "Chen", "brouri": "Brouri"}
+WORDS = ("exact", "agrees", "untestable", "differs")
+
+
+@pytest.fixture(scope="module")
+def state():
+    return verify(ROOT / "results", ROOT / "experiments")
+
+
+def shown(table):
+    counts = [table.counts.get(word, 0) for word in WORDS]
+    p = "-" if math.isnan(table.joint_p) else f"{table.joint_p:.2g}"
+    paper = PAPERS[table.config.partition("_")[0]]
+    cells = (f"{paper}, {table.table}", f"`{table.config}`", sum(counts), *counts, p)
+    return f"| {' | '.join(map(str, cells))} | {table.rejected} of {table.tried} |\n"
+
+
+def ledger(tables):
+    """The table of README.md: the weakest first."""
+    rows = sorted(tables, key=lambda one: (one.rejected / max(one.tried, 1), one.config, one.table))
+    return HEADER + "".join(map(shown, rows))
+
+
+def test_readme_shows_every_table_with_its_score_the_weak_ones_first(state):
+    assert ledger(state.tables) in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_accepted_alternatives_are_those_of_the_configurations(state):
+    assert state.stale == ()
+    assert {table.config for table in state.tables} == {path.stem for path in CONFIGS}
+
+
+def test_every_table_is_held_against_at_least_eight_alternatives(state):
+    assert {table.config: table.tried for table in state.tables if table.tried < 8} == {}
+
+
+@pytest.mark.parametrize("config", CONFIGS, ids=lambda path: path.stem)
+def test_every_alternative_can_be_run(config):
+    plugins.load()
+    check_alternatives(load(config))
