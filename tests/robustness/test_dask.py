@@ -345,7 +345,7 @@ print(len(found))
     ],
 )
 def test_what_cannot_be_used_is_told(lab: Lab, arguments: str, said: str) -> None:
-    error = lab.hident("run", "tiny.yaml", "-j2", *arguments.split(), code=2, fresh=True).stderr
+    error = lab.hident("run", "tiny.yaml", "-j2", *arguments.split(), code=2).stderr
     option = "--scheduler" if "--scheduler" in arguments else "--executor"
     assert f"error: {option}: " in error
     assert said in error

@@ -106,7 +106,7 @@ class Victim(Lab):
             tempfile.tempdir = str(self.sockets)
             before()
 
-        return self.start("run", "tiny.yaml", *arguments, preexec_fn=prepare, **options)
+        return self.start("run", "tiny.yaml", *arguments, preexec_fn=prepare, fresh_workers=True, **options)
 
     def undisturbed(self) -> None:
         """Run it to the end, and keep what it gives."""
