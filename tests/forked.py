@@ -202,13 +202,13 @@ class _Spare:
         """Take the place of what multiprocessing would start anew."""
         start = util.spawnv_passfds
 
-        def start_or_wake(path: bytes, args: Sequence[Any], passed: Sequence[int]) -> int:
+        def start_or_wake(path: bytes, args: Sequence[Any], passfds: Sequence[int]) -> int:
             call = _STARTS_FORKSERVER.fullmatch(str(args[-1]))
-            if call is None or len(passed) != 2:
-                return start(path, args, passed)
+            if call is None or len(passfds) != 2:
+                return start(path, args, passfds)
             util.spawnv_passfds = start
             state = call[1], dict(os.environ), signal.pthread_sigmask(signal.SIG_BLOCK, [])
-            socket.send_fds(self._program, [pickle.dumps(state)], [*passed])
+            socket.send_fds(self._program, [pickle.dumps(state)], [*passfds])
             self._program.close()
             return self._pid
 

@@ -9,7 +9,7 @@ from types import ModuleType
 import pytest
 
 from tests.torture import disk, inputs, kills, results, store, together, workers
-from tests.torture.victim import Tally
+from tests.torture.victim import Tally, Victim
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="signals, /proc and limits")
 _FEW = ("os._exit(0)", "changes the working directory", "closes the streams")
@@ -37,6 +37,8 @@ def test_few_faults(kind: ModuleType, tally: Tally, monkeypatch: pytest.MonkeyPa
 def test_few_kills(tally: Tally, monkeypatch: pytest.MonkeyPatch) -> None:
     # The other signals have tests of their own in test_interrupt.py.
     monkeypatch.setattr(kills, "_SIGNALS", [])
+    # Nor do kills while the workers start, so that most of these come while they compute.
+    monkeypatch.setattr(Victim, "fresh_workers", False)
     kills.torture(tally, random.Random(1), 4)
 
 
