@@ -61,7 +61,7 @@ class Cluster:
     def run(self, *arguments: str, code: int = 0) -> str:
         """``hident run tiny.yaml`` on the workers: standard error."""
         return self.lab.hident(
-            "run", "tiny.yaml", "--scheduler", "scheduler.json", *arguments, code=code, fresh=True
+            "run", "tiny.yaml", "--scheduler", "scheduler.json", *arguments, code=code
         ).stderr
 
     def begin(self, *on: str) -> subprocess.Popen[bytes]:
@@ -142,7 +142,7 @@ def test_the_same_bytes_by_other_executors(lab: Lab, serial: dict[str, bytes], e
     own = "from concurrent.futures import ThreadPoolExecutor as threads\n"
     (lab.folder / "own.py").write_text(own)
     lab.probe(_HOLD)
-    said = lab.hident("run", "tiny.yaml", "--executor", executor, "--jobs", "2", fresh=True).stderr
+    said = lab.hident("run", "tiny.yaml", "--executor", executor, "--jobs", "2").stderr
     assert "warning" not in said
     assert _files(lab) == serial
     assert _run_json(lab)["workers"] == 2
@@ -288,9 +288,7 @@ def test_interrupt_keeps_what_is_in_flight_and_a_second_one_stops_at_once(
 def test_a_trial_that_ends_its_workers_is_a_crash(lab: Lab) -> None:
     lab.probe("if len(record) == 80:\n    os.kill(os.getpid(), 9)")
     lab.configure(trials=1)
-    said = lab.hident(
-        "run", "tiny.yaml", "--executor", "dask", "-j2", "--keep-going", code=3, fresh=True
-    ).stderr
+    said = lab.hident("run", "tiny.yaml", "--executor", "dask", "-j2", "--keep-going", code=3).stderr
     assert "of estimator 'probe' at samples 80 crashed: its worker process ended abruptly\n" in said
     assert {case for unit, case, _ in lab.trials() if unit == "probe"} == {"{'samples': 50}"}
     assert len(lab.trials()) == 3
@@ -345,7 +343,7 @@ print(len(found))
     ],
 )
 def test_what_cannot_be_used_is_told(lab: Lab, arguments: str, said: str) -> None:
-    error = lab.hident("run", "tiny.yaml", "-j2", *arguments.split(), code=2, fresh=True).stderr
+    error = lab.hident("run", "tiny.yaml", "-j2", *arguments.split(), code=2).stderr
     option = "--scheduler" if "--scheduler" in arguments else "--executor"
     assert f"error: {option}: " in error
     assert said in error

@@ -144,7 +144,7 @@ def test_second_interrupt_of_a_pool_stops_at_once(held: Lab) -> None:
 
 
 def test_interrupt_while_workers_start(held: Lab) -> None:
-    process = held.start("run", "tiny.yaml", "--jobs", "2")
+    process = held.start("run", "tiny.yaml", "--jobs", "2", fresh_workers=True)
     held.await_(lambda: "24 trials" in held.log)
     os.killpg(process.pid, signal.SIGINT)
     (held.folder / "hold").unlink()
@@ -254,7 +254,9 @@ def test_kill_of_the_main_process_leaves_no_socket(held: Lab) -> None:
     # That of the test may be too long for a socket.
     with tempfile.TemporaryDirectory(dir="/tmp") as name:
         process = held.start(
-            "run", "tiny.yaml", "--jobs", "2", preexec_fn=lambda: setattr(tempfile, "tempdir", name)
+            *("run", "tiny.yaml", "--jobs", "2"),
+            preexec_fn=lambda: setattr(tempfile, "tempdir", name),
+            fresh_workers=True,
         )
         held.await_((held.folder / "reached").exists)
         assert [*Path(name).glob("*/listener-*")]
@@ -272,7 +274,7 @@ def test_kills_at_any_moment_lose_nothing(lab: Lab, uninterrupted: bytes) -> Non
     fits = lab.folder / "fits"
     for jobs, moment in (("2", 0), ("1", 2), ("2", 4)):
         fits.write_bytes(b"")
-        process = lab.start("run", "tiny.yaml", "--jobs", jobs)
+        process = lab.start("run", "tiny.yaml", "--jobs", jobs, fresh_workers=not moment)
         lab.await_(lambda: "24 trials" in lab.log)
         # With few enough left, it ends of itself before.
         ended, wanted = process.poll, moment

@@ -9,7 +9,7 @@ from types import ModuleType
 import pytest
 
 from tests.torture import disk, inputs, kills, results, store, together, workers
-from tests.torture.victim import Tally
+from tests.torture.victim import Tally, Victim
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="signals, /proc and limits")
 _FEW = ("os._exit(0)", "changes the working directory", "closes the streams")
@@ -28,13 +28,17 @@ _LONG = [pytest.param(kind, marks=pytest.mark.long) for kind in (disk, together)
 
 
 @pytest.mark.parametrize("kind", [results, store, *_LONG], ids=lambda kind: kind.__name__)
-def test_few_faults(kind: ModuleType, tally: Tally) -> None:
+def test_few_faults(kind: ModuleType, tally: Tally, monkeypatch: pytest.MonkeyPatch) -> None:
+    # A store of 80 pages, where 2000 trials take 112.
+    monkeypatch.setattr(store, "_TRIALS", 500)
     kind.torture(tally, random.Random(1), 1)
 
 
 def test_few_kills(tally: Tally, monkeypatch: pytest.MonkeyPatch) -> None:
     # The other signals have tests of their own in test_interrupt.py.
     monkeypatch.setattr(kills, "_SIGNALS", [])
+    # Nor do kills while the workers start, so that most of these come while they compute.
+    monkeypatch.setattr(Victim, "fresh_workers", False)
     kills.torture(tally, random.Random(1), 4)
 
 

@@ -72,6 +72,8 @@ class Victim(Lab):
     """The experiment ``tiny``, with two probes in two cases; ``truth`` holds its undisturbed outputs."""
 
     truth: dict[str, bytes]
+    fresh_workers = True
+    """Whether the process that forks the workers of a run is started anew."""
 
     def __init__(self, folder: Path, trials: int, body: str = "") -> None:
         super().__init__(folder.resolve())
@@ -99,7 +101,7 @@ class Victim(Lab):
 
         Its sockets are put where those that are left can be seen.
         """
-        options["env"] = {**os.environ, "SECONDS": str(seconds)}
+        options |= {"env": {**os.environ, "SECONDS": str(seconds)}, "fresh_workers": self.fresh_workers}
         before = options.pop("preexec_fn", lambda: None)
 
         def prepare() -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -42,10 +44,22 @@ class Bench:
     """A run of a small experiment, accepted; ``again`` writes another run of it."""
 
     def __init__(self, lab: Lab) -> None:
-        self._lab, self._store = lab, MemoryStore()
-        self.out, self.results = lab.folder / "out", lab.folder / "results"
-        self.plain = self.run(trials=40)
+        self._store = MemoryStore()
+        self._move(lab)
+        self.plain = self.run()
         self.write(self.plain)
+
+    def _move(self, lab: Lab) -> None:
+        self._lab = lab
+        self._lab.configure(trials=40)
+        self.out, self.results = lab.folder / "out", lab.folder / "results"
+
+    def copied(self, lab: Lab) -> Bench:
+        """The same run in another laboratory."""
+        other = copy.copy(self)
+        other._move(lab)
+        shutil.copytree(self.out, other.out)
+        return other
 
     def run(self, **changes: Any) -> Results:
         self._lab.configure(**changes)
@@ -91,9 +105,14 @@ def _rewrite(folder: Path, change: Callable[[dict[str, Any]], None], *names: str
     (folder / "run.json").write_text(json.dumps(run))
 
 
+@pytest.fixture(scope="module")
+def first(make_lab: Callable[[Path], Lab], tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    return Bench(make_lab(tmp_path_factory.mktemp("first")))
+
+
 @pytest.fixture
-def bench(lab: Lab) -> Bench:
-    return Bench(lab)
+def bench(first: Bench, lab: Lab) -> Bench:
+    return first.copied(lab)
 
 
 def _branch(*trials: int) -> Callable[[Array], None]:
