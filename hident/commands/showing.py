@@ -88,8 +88,7 @@ def print_verification(
     for table in found.tables:
         numbers = [table.counts.get(word, 0) for word in words]
         p = "-" if math.isnan(table.joint_p) else f"{table.joint_p:.2g}"
-        score = f"{table.rejected} of {table.tried}" if table.tried else "-"
-        cells = [*map(str, [sum(numbers), *numbers]), p, score, "; ".join(table.survivors)]
+        cells = [*map(str, [sum(numbers), *numbers]), p, table.score, "; ".join(table.survivors)]
         rows.append((table.config, table.table, *cells))
     print_columns(rows)
     for title, lines in lists.items():

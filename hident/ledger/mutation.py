@@ -38,7 +38,8 @@ def measured(plan: Plan, run: Callable[[str, Plan], Results], trials: int | None
         for verdict in verdicts:
             _, excluded = numbers.setdefault(verdict.printed.key, (verdict.printed.printed, {}))
             excluded[name] = excluded.get(name, False) or verdict.word == "differs"
-            tables.setdefault(verdict.printed.table, []).append(verdict)
+            if verdict.counts:
+                tables.setdefault(verdict.printed.table, []).append(verdict)
         mutations += [_mutation(table, name, found, published, own) for table, found in tables.items()]
     order = list(plan.experiment.alternatives)
     return VerdictPower(

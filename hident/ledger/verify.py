@@ -16,7 +16,7 @@ from hident.errors import ConfigError, NothingToCompare
 from hident.ledger.joint import combined_p
 from hident.ledger.power import VerdictPower, without_reports
 from hident.ledger.published import Key, Reason, read_published, read_reasons
-from hident.ledger.verdicts import COLUMNS, Word
+from hident.ledger.verdicts import COLUMNS, LEVEL, Word
 from hident.run_folder import RunFolder
 
 
@@ -37,6 +37,13 @@ class TableState:
     """The mutation score: how many alternatives the table rejects, and how many were tried."""
     survivors: tuple[str, ...]
     """The alternatives that it does not reject."""
+
+    @property
+    def score(self) -> str:
+        """The mutation score in words; that of a table that rejects our own reading too says little."""
+        if not self.tried:
+            return "-"
+        return f"{self.rejected} of {self.tried}{', and ours' if self.joint_p < LEVEL else ''}"
 
     def plain(self) -> dict[str, Any]:
         """As data for JSON."""
