@@ -93,7 +93,8 @@ class Trigonometric(_WithInterval):
         # Cosines of the differences.
         harmonics = np.full((1, q + 1), 2.0 / self._length, dtype=complex)
         harmonics[:, 0] /= 2.0
-        return trigonometric_series(self._angles(x - points), harmonics)[0]
+        products: Array = trigonometric_series(self._angles(x - points), harmonics)[0]
+        return products
 
     def _angles(self, x: Array) -> Array:
         turns = x / self._length

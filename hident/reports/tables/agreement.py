@@ -26,7 +26,7 @@ _NOTE = (
 
 @component("table", "agreement", source="Brouri, eq. (45), (46)")
 class Agreement(SettingsSpec):
-    """One row for each setting, one column for each printed number: whether the trials allow it; their count."""
+    """One row for each setting: whether the trials allow each printed number, and how many they allow."""
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         import pandas as pd
