@@ -67,8 +67,10 @@ from hident.metrics.frequency import Response as Response, ResponseError as Resp
 from hident.metrics.frequency import TrueResponse as TrueResponse
 from hident.metrics.models import LinearPercentError as LinearPercentError, SettlingTime as SettlingTime
 from hident.metrics.models import ValidationPercentError as ValidationPercentError
+from hident.metrics.nonlinearity import ErrorReduction as ErrorReduction
 from hident.metrics.nonlinearity import IntegratedSquaredError as IntegratedSquaredError
 from hident.metrics.nonlinearity import NonlinearityPercentError as NonlinearityPercentError
+from hident.metrics.nonlinearity import NonlinearityValue as NonlinearityValue
 from hident.metrics.residuals import ResidualTest as ResidualTest
 from hident.metrics.values import Coverage as Coverage, Error as Error, PercentError as PercentError
 from hident.metrics.values import Share as Share, TrueValue as TrueValue, Value as Value

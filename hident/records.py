@@ -19,10 +19,15 @@ from hident.numerics.parts import Parts, whole
 _UNEVEN = 1e-3
 
 T = TypeVar("T")
-ModelPart = Literal["nonlinearity", "linear", "continuous", "response", "frequencies", "model"]
+ModelPart = Literal[
+    "nonlinearity", "left_out", "unfiltered", "linear", "continuous", "response", "frequencies", "model"
+]
 """A part of an estimate that is no value."""
 Response = Callable[[Array, float], Array]
 """The noise-free output (N,) to an input (N,), given the sampling interval."""
+LeftOut = Callable[[float, float], tuple[Array, Array]]
+"""The inputs from low to high among the samples that a nonlinearity was estimated from, in increasing order,
+and the estimate at each without its own sample."""
 
 
 class Model(Protocol):
@@ -224,11 +229,12 @@ class Record:
 class Estimate:
     """What an estimator returns; a part that it does not estimate is None or empty.
 
-    ``nonlinearity`` takes and gives arrays of one shape; ``linear`` and ``continuous`` are the linear block
-    in discrete and in continuous time, ``response`` the whole model from rest, ``model`` what it gives for a
-    record; ``values`` are parameters by name, and
-    ``frequencies`` (n,) the angular ones that values such as ``gain_i_1`` number. ``details`` holds what only
-    a figure of one trial shows, such as a search or the history of an iteration.
+    ``nonlinearity`` takes and gives arrays of one shape, ``left_out`` is it at the samples, each without its
+    own, and ``unfiltered`` what the same method makes of the record without its prefilter; ``linear`` and
+    ``continuous`` are the linear block in discrete and in continuous time, ``response`` the whole model from
+    rest, ``model`` what it gives for a record; ``values`` are parameters by name, and ``frequencies`` (n,)
+    the angular ones that values such as ``gain_i_1`` number. ``details`` holds what only a figure of one
+    trial shows, such as a search or the history of an iteration.
 
     Examples
     --------
@@ -238,6 +244,8 @@ class Estimate:
     """
 
     nonlinearity: Characteristic | None = None
+    left_out: LeftOut | None = None
+    unfiltered: Callable[[], Estimate] | None = None
     linear: TransferFunction | None = None
     continuous: ContinuousTransferFunction | None = None
     response: Response | None = None

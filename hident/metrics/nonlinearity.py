@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, assert_never
 
 import numpy as np
 from pydantic import Field
 
 from hident.arrays import Array, Characteristic
-from hident.config.spec import Count, Interval, component
+from hident.config.spec import Count, Interval, NonEmpty, Real, component
 from hident.errors import TrialFailed
 from hident.metrics.base import MetricSpec, Scored
 from hident.records import Estimate, Record, Truth, needed
@@ -78,7 +78,9 @@ class IntegratedSquaredError(_OnInterval):
     ``at: grid`` integrates over the interval, piece by piece between the characteristic's jumps. ``at:
     samples`` is the interval's length times the mean squared error at the record's inputs inside it, which
     estimates the same integral when the input is uniform there, but scores the estimate only where a sample
-    supports it.
+    supports it, and each estimate there holds its own sample. ``at: left_out_samples`` is the same mean over
+    the samples that the estimator used, each estimate without its own (leave one out): bandwidth, cutoff
+    level and prefilter stay.
 
     Examples
     --------
@@ -91,12 +93,30 @@ class IntegratedSquaredError(_OnInterval):
     0.5
     """
 
-    at: Literal["grid", "samples"] = "grid"
-    """Where the error is taken: on a quadrature grid, or at the inputs of the record."""
+    at: Literal["grid", "samples", "left_out_samples"] = "grid"
+    """Where the error is taken: on a quadrature grid, at the inputs, or there with each sample left out."""
+
+    def needs_of_estimate(self) -> frozenset[str]:
+        return _PARTS | {"left_out"} if self.at == "left_out_samples" else _PARTS
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        if self.at == "grid":
-            return (self.integrals(estimate, record)[0],)
+        match self.at:
+            case "grid":
+                return (self.integrals(estimate, record)[0],)
+            case "samples":
+                return (self._at_samples(estimate, record),)
+            case "left_out_samples":
+                u, values = needed(estimate.left_out)(*self.interval)
+                return (self._mean(u, values, _finite(_of(record.truth)[0](u), u, "true")),)
+        assert_never(self.at)
+
+    def _mean(self, u: Array, values: Array, true: Array) -> float:
+        """The interval's length times the mean squared error at the points u."""
+        low, high = self.interval
+        error = _finite(values, u, "estimated") - true
+        return (high - low) * float(error @ error) / len(u) if len(u) else float("nan")
+
+    def _at_samples(self, estimate: Estimate, record: Record) -> float:
         truth, _ = _of(record.truth)
         low, high = self.interval
 
@@ -109,8 +129,60 @@ class IntegratedSquaredError(_OnInterval):
             return u, true
 
         u, true = record.once(("truth at the samples", self.interval), samples)
-        error = _finite(needed(estimate.nonlinearity)(u), u, "estimated") - true
-        return ((high - low) * float(error @ error) / len(u) if len(u) else float("nan"),)
+        return self._mean(u, needed(estimate.nonlinearity)(u), true)
+
+
+@component("metric", "mise_reduction", source="Mzyk 2009, section V")
+class ErrorReduction(IntegratedSquaredError):
+    """The integrated squared error without the prefilter over that with it, on the same record.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Ar(a=[0.8]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> known = hi.KnownDynamics(a=[0.8])
+    >>> kernel = hi.Kernel(kernel="gaussian", bandwidth={"h0": 0.3, "alpha": "1/5"}, prefilter=known)
+    >>> scores = hi.score(hi.fit(kernel, record), record, times=hi.ErrorReduction(interval=[-1, 1]))
+    >>> scores["times"] > 10
+    True
+    """
+
+    def needs_of_estimate(self) -> frozenset[str]:
+        return super().needs_of_estimate() | {"unfiltered"}
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        (without,) = super().evaluate(needed(estimate.unfiltered)(), record)
+        (left,) = super().evaluate(estimate, record)
+        return (without / left if left else float("nan"),)
+
+
+@component("metric", "nonlinearity_value")
+class NonlinearityValue(MetricSpec):
+    """The estimated nonlinearity at given inputs: its std over trials is that of the estimate there.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> metric = hi.NonlinearityValue(at=[1, -2])
+    >>> hi.score(hi.Estimate(nonlinearity=np.abs), hi.Record([0], [0]), there=metric)
+    {'there 1': 1.0, 'there -2': 2.0}
+    """
+
+    at: NonEmpty[Real]
+    """The inputs."""
+    factor: Real = 1.0
+    """What the values are multiplied by, such as the root of the number of samples."""
+
+    def labels(self, name: str) -> tuple[str, ...]:
+        return tuple(f"{name} {u:g}" for u in self.at)
+
+    def needs_of_estimate(self) -> frozenset[str]:
+        return _PARTS
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        values: list[float] = (self.factor * needed(estimate.nonlinearity)(np.array(self.at))).tolist()
+        return values
 
 
 @component("metric", "nonlinearity_percent_error")

@@ -223,7 +223,7 @@ def test_spec_fits_with_the_bandwidth_of_the_record():
     nonlinearity = spec.fit(record, rng).nonlinearity
     assert nonlinearity is not None
     np.testing.assert_allclose(nonlinearity(points), expected, rtol=0, atol=1e-14)
-    assert spec.provides() == {"nonlinearity"} and spec.fewest_samples() == 1
+    assert spec.provides() == {"nonlinearity", "left_out"} and spec.fewest_samples() == 1
 
 
 @pytest.mark.parametrize(

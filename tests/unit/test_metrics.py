@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import hident as hi
 from hident.errors import ConfigError
 from hident.linear_blocks import TransferFunction
 from hident.metrics.disturbance import DisturbanceVariance, DisturbanceVarianceFormula
@@ -147,3 +148,22 @@ def test_leaving_out_the_square_of_eq_20_gives_the_printed_401():
 def test_messages(make, message):
     with pytest.raises(ConfigError, match=message):
         make()
+
+
+def test_the_reduction_is_the_error_without_the_prefilter_over_that_with_it():
+    system = hi.Hammerstein(nonlinearity="mzyk2009", linear=hi.Ar(a=[0.8]))
+    record = hi.simulate(system, hi.Iid(distribution="uniform", low=-6, high=6), 200, noise=hi.White(std=0.1))
+    plain = hi.Kernel(kernel="window_unit", bandwidth={"h0": 0.2, "alpha": "1/5"})
+    filtered = plain.model_copy(update={"prefilter": hi.LeastSquares(order=1)})
+    for at in ("grid", "samples", "left_out_samples"):
+        scored = {"at": at, "interval": [-6, 6]}
+        error = hi.IntegratedSquaredError(**scored)
+        without, left = (hi.score(hi.fit(one, record), record, e=error)["e"] for one in (plain, filtered))
+        times = hi.score(hi.fit(filtered, record), record, times=hi.ErrorReduction(**scored))["times"]
+        assert times == pytest.approx(without / left, rel=1e-12)
+
+
+def test_values_of_the_nonlinearity_stand_at_their_inputs():
+    metric = hi.NonlinearityValue(at=[0.5, -2], factor=10)
+    found = hi.score(hi.Estimate(nonlinearity=np.abs), hi.Record([0], [0]), r=metric)
+    assert found == {"r 0.5": 5.0, "r -2": 20.0}

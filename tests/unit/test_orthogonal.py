@@ -250,7 +250,7 @@ def test_spec(distribution):
     np.testing.assert_array_equal(
         estimate.nonlinearity(points), fit_orthogonal_series(record.u, record.y, WAVES, 3, density)(points)
     )
-    assert spec.provides() == {"nonlinearity"}
+    assert spec.provides() == {"nonlinearity", "left_out"}
     assert TypeAdapter(Orthogonal).validate_python(spec) == spec
 
 

@@ -123,7 +123,7 @@ def test_rise_time_errors():
 def test_the_polynomial_is_exact(degree, extra, reach):
     x = reach * np.cos(np.pi * (np.arange(degree + 1 + extra) + 0.5) / (degree + 1 + extra))
     c = np.random.default_rng(degree).normal(size=degree + 1) / reach ** np.arange(degree + 1)
-    fit = fit_polynomial(x, levels_of(np.polyval(c[::-1], x)), degree)
+    fit = fit_polynomial(x, np.polyval(c[::-1], x), np.zeros_like(x), degree)
     scale = reach ** np.arange(degree + 1)
     np.testing.assert_allclose(scale * fit.coefficients, scale * c, rtol=1e-10, atol=1e-11)
 
@@ -131,7 +131,7 @@ def test_the_polynomial_is_exact(degree, extra, reach):
 @pytest.mark.parametrize("errors", [0.1, np.array([0.1, 0.5, 0.1, 0.2])])
 def test_the_errors_of_the_coefficients(errors):
     x = np.array(LEVELS)
-    fit = fit_polynomial(x, levels_of(np.zeros(4), errors), 3)
+    fit = fit_polynomial(x, np.zeros(4), np.broadcast_to(errors, 4), 3)
     inverse = np.linalg.inv(np.vander(x, 4, increasing=True))
     variances = np.broadcast_to(errors, 4) ** 2
     np.testing.assert_allclose(
@@ -143,9 +143,22 @@ def test_the_errors_of_the_coefficients(errors):
 def test_too_few_levels_for_the_coefficients():
     message = "3 distinct levels do not determine the 4 coefficients of degree 3"
     with pytest.raises(EstimationError, match=f"^{message}$"):
-        fit_polynomial(np.array([0.0, 1.0, 1.0, 2.0]), levels_of(np.zeros(4)), 3)
+        fit_polynomial(np.array([0.0, 1.0, 1.0, 2.0]), np.zeros(4), np.zeros(4), 3)
     with pytest.raises(EstimationError, match=f"^{message}$"):
         estimator().check_record(record({}, (0.0, 1.0, 1.0, 2.0)))
+
+
+def test_only_the_levels_in_between_count_for_the_polynomial():
+    levels = np.array([-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5])
+    steps = staircase(np.repeat(levels**4, 40), levels)
+    within = estimator(between=[0, 1.5], require_steady=False).fit(steps, RNG)
+    everywhere = estimator(require_steady=False).fit(steps, RNG)
+    # The cubic that meets x^4 at 0, 1/2, 1 and 3/2, and the even one that is nearest to it at all seven.
+    assert [within.values[f"c_{j}"] for j in range(4)] == pytest.approx([0.0, 0.75, -2.75, 3.0], abs=1e-9)
+    assert everywhere.values["c_3"] == pytest.approx(0.0, abs=1e-9)
+    message = "2 distinct levels do not determine the 4 coefficients of degree 3"
+    with pytest.raises(EstimationError, match=f"^{message}$"):
+        estimator(between=[1, 1.5]).check_record(steps)
 
 
 def test_too_few_samples_in_a_level():

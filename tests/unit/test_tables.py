@@ -142,6 +142,25 @@ def test_a_joint_distance_holds_for_all_quantities(tmp_path):
     assert data["mean"].to_numpy() == pytest.approx([1 / 6, 1 / 6])
 
 
+def test_agreement_says_for_each_setting_which_printed_numbers_the_trials_allow(tmp_path):
+    values = {
+        ("one", "10"): [0.8, 1.2, 1.4],
+        ("one", "100"): [1.5, 1.6, 1.7],
+        ("one", "1000"): [0.0, 0.5, 0.99],
+    }
+    rest = DISTANCE.replace("KIND", "agreement").replace("rows: samples, best: 5, ", "")
+    table = built(made(tmp_path, values, rest=rest, axes=WIDTHS, printed=BOTH))
+    assert table.header == ("estimator", "samples", "width", "error: 1.0", "other: 1.0", "inside")
+    one = [row for row in table.rows if row[0] == "one" and row[2] == "a"]
+    # The central 95 % end at 0.966, which is no farther from 1.0 than its rounding.
+    assert [row[3:] for row in one] == [
+        ("1.200 ~", "-", "1 of 1"),
+        ("1.600 !", "-", "0 of 1"),
+        ("0.5000 ~", "-", "1 of 1"),
+    ]
+    assert {(row[2], row[5]) for row in table.rows if row[0] == "two"} == {("-", "1 of 1")}
+
+
 def test_markdown_is_aligned_and_bars_are_escaped():
     table = Table("T", ("name", "value"), (("|u|", "1.5"), ("b", "-10")), ("a note",))
     assert table.markdown().splitlines() == [

@@ -9,8 +9,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from hident.arrays import Array
-from hident.config.spec import Count, Flag, Real, component
+from hident.arrays import Array, Flags
+from hident.config.spec import Count, Flag, Interval, Real, component
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite, with_errors
 from hident.estimators.frequency.staircase_levels import (
@@ -64,6 +64,8 @@ class NonlinearityIdentification(EstimatorSpec):
 
     degree: Annotated[Count, Field(ge=1)] = 3
     """Degree of the polynomial; as many distinct levels plus one are needed."""
+    between: Interval | None = None
+    """Only levels from low to high, ends included, count for the polynomial (default: all)."""
     discard: Annotated[Real, Field(ge=0, lt=1)] = 0.5
     """Part of each level left out as transient, 0 to below 1; 0 averages the whole level, as printed."""
     require_steady: Flag = True
@@ -94,7 +96,8 @@ class NonlinearityIdentification(EstimatorSpec):
         return (unit_static_gain("c"),)
 
     def check_record(self, record: Record) -> None:
-        distinct = len(np.unique(_levels_of(self._part(record))))
+        x = _levels_of(self._part(record))
+        distinct = len(np.unique(x[self._counted(x)]))
         if distinct <= self.degree:
             raise EstimationError(
                 f"{distinct} distinct levels do not determine the {self.degree + 1} coefficients of degree "
@@ -138,7 +141,8 @@ class NonlinearityIdentification(EstimatorSpec):
                 f"the output has not settled at level {j + 1} of {len(x)}: it moves by {levels.drift[j]:.3g} "
                 "from the third to the last quarter; hold the levels longer"
             )
-        fit = fit_polynomial(x, levels, self.degree)
+        counted = self._counted(x)
+        fit = fit_polynomial(x[counted], levels.values[counted], levels.errors[counted], self.degree)
         step = int(np.argmax(np.abs(np.diff(levels.values)))) + 1
         rise = rise_time(
             y[bounds[step] : bounds[step + 1]], part.dt, levels.values[step - 1], levels.values[step]
@@ -151,6 +155,11 @@ class NonlinearityIdentification(EstimatorSpec):
                 f"to settle; hold each at least {self.least_hold * rise:.3g}"
             )
         return Staircase(x, levels, fit, rise, hold)
+
+    def _counted(self, x: Array) -> Flags:
+        """Which of the abscissas ``x`` (n,) count for the polynomial."""
+        low, high = self.between or (-math.inf, math.inf)
+        return (low <= x) & (x <= high)
 
     def _part(self, record: Record) -> Part:
         held = {name: part for name, part in record.parts.items() if isinstance(part.waveform, Held)}

@@ -139,11 +139,11 @@ def rise_time(y: Array, dt: float, before: float, after: float, fraction: float 
     return float(dt * max(first - 1 + part + 0.5 * (width - 1), 0.0))
 
 
-def fit_polynomial(x: Array, levels: Levels, degree: int) -> PolynomialFit:
+def fit_polynomial(x: Array, values: Array, errors: Array, degree: int) -> PolynomialFit:
     """The polynomial of ``degree`` through the points (V_j, W_j), by weighted least squares.
 
-    ``x`` (n,) holds the abscissas V_j. The covariance is that of the averaged noise, so that as many points
-    as coefficients have standard errors too.
+    ``x``, ``values`` and ``errors`` (n,) hold V_j, W_j and the standard errors of W_j. The covariance is that
+    of the averaged noise, so that as many points as coefficients have standard errors too.
 
     Raises
     ------
@@ -156,12 +156,12 @@ def fit_polynomial(x: Array, levels: Levels, degree: int) -> PolynomialFit:
             f"{distinct} distinct levels do not determine the {degree + 1} coefficients of degree {degree}"
         )
     scale = float(np.max(np.abs(x))) or 1.0
-    weights = _relative(levels.errors)
+    weights = _relative(errors)
     basis = np.vander(x / scale, degree + 1, increasing=True) / weights[:, None]
     q, r = np.linalg.qr(basis)
     root = np.linalg.inv(r) / scale ** np.arange(degree + 1)[:, None]
-    size = levels.errors[0] / weights[0]
-    return PolynomialFit(root @ (q.T @ (levels.values / weights)), size**2 * root @ root.T)
+    size = errors[0] / weights[0]
+    return PolynomialFit(root @ (q.T @ (values / weights)), size**2 * root @ root.T)
 
 
 def _relative(errors: Array) -> Array:

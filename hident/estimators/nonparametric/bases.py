@@ -40,6 +40,10 @@ class BasisSpec(Component):
         """Sums over i of c_i phi_i(x): ``x`` (M,) and ``coefficients`` (K, size(q)) to (K, M)."""
         raise NotImplementedError
 
+    def products(self, x: Array, points: Array, q: int) -> Array:
+        """Sums over i of phi_i(x_m) phi_i(points_m): both (M,), and so is the answer."""
+        raise NotImplementedError
+
 
 class _WithInterval(BasisSpec):
     interval: Interval
@@ -85,6 +89,13 @@ class Trigonometric(_WithInterval):
         )
         return trigonometric_series(self._angles(x), harmonics)
 
+    def products(self, x: Array, points: Array, q: int) -> Array:
+        # Cosines of the differences.
+        harmonics = np.full((1, q + 1), 2.0 / self._length, dtype=complex)
+        harmonics[:, 0] /= 2.0
+        products: Array = trigonometric_series(self._angles(x - points), harmonics)[0]
+        return products
+
     def _angles(self, x: Array) -> Array:
         turns = x / self._length
         turns -= np.floor(turns + 0.5)
@@ -125,6 +136,12 @@ class _ByRecurrence(BasisSpec):
         values = np.zeros((len(coefficients), len(x)))
         for c, phi in zip(coefficients.T, self.functions(x, coefficients.shape[1] - 1), strict=True):
             values += c[:, None] * phi
+        return values
+
+    def products(self, x: Array, points: Array, q: int) -> Array:
+        values = np.zeros(len(x))
+        for phi, there in zip(self.functions(x, q), self.functions(points, q), strict=True):
+            values += phi * there
         return values
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, assert_never
 import numpy as np
 from pydantic import Field
 
-from hident.arrays import Array, Characteristic, Index
+from hident.arrays import Array, Index
 from hident.config.spec import Real, Spec, component
 from hident.errors import EstimationError
 from hident.estimators.base import require_finite
@@ -34,6 +34,8 @@ _COMPACT: dict[str, Window | PiecewiseKernel] = {
     "epanechnikov": PiecewiseKernel((-1.0, 1.0), ((0.75, 0.0, -0.75),)),
 }
 _BLOCK = 2**15
+# Where the other samples weigh less than this part of the own one, taking it off the sum would cost digits.
+_FEW = 0.01
 
 
 class KernelRegression:
@@ -83,11 +85,12 @@ class KernelRegression:
         require_finite(y)
         if order is None:
             order = sorting(u)
-        self._u, y = u[order], y[order]
-        self._y_sums = PrefixSums(y)
+        self._order = order
+        self._u, self._y = u[order], y[order]
+        self._y_sums = PrefixSums(self._y)
         self._bandwidth = bandwidth
         self._empty = empty
-        self._sums = self._kernel_sums(y, kernel)
+        self._sums = self._kernel_sums(self._y, kernel)
 
     def _kernel_sums(self, y: Array, kernel: KernelName) -> GaussianSums | PiecewiseSums | WindowSums:
         if kernel == "gaussian":
@@ -115,17 +118,62 @@ class KernelRegression:
             values[block] = weighted / np.where(weight > 0.0, weight, np.nan)
         vacant = np.flatnonzero(np.isnan(values))
         if len(vacant):
-            values[vacant] = self._without_samples(points[vacant], len(points))
+            nobody = np.full(len(vacant), len(self._u) + 1)
+            values[vacant] = self._without_samples(points[vacant], nobody, len(points))
         return values
 
-    def _without_samples(self, points: Array, total: int) -> Array | float:
+    def left_out(self, samples: Index, points: Array) -> Array:
+        """The estimates at ``points`` (M,), the m-th from all samples but ``samples[m]``.
+
+        The bandwidth stays. The points must not decrease.
+
+        Raises
+        ------
+        EstimationError
+            With ``empty="fail"``, if a point has no other sample.
+        """
+        own = np.argsort(self._order)[samples]
+        values = np.empty(len(points))
+        for first in range(0, len(points), _BLOCK):
+            block = slice(first, first + _BLOCK)
+            values[block] = self._block_left_out(own[block], points[block])
+        vacant = np.flatnonzero(np.isnan(values))
+        if len(vacant):
+            values[vacant] = self._without_samples(points[vacant], own[vacant], len(points))
+        return values
+
+    def _block_left_out(self, own: Index, points: Array) -> Array:
+        """The estimates without the samples at the places ``own``, nan where no other one is in reach."""
+        weighted, weight = self._sums(points)
+        term = self._sums.weights(self._u[own], points)
+        weighted -= term * self._y[own]
+        weight -= term
+        start = np.searchsorted(self._u, points - self._sums.reach)
+        stop = np.searchsorted(self._u, points + self._sums.reach, "right")
+        alone = stop - start == ((start <= own) & (own < stop))
+        weight[alone] = 0.0
+        for i in np.flatnonzero(~alone & (weight < _FEW * term)):
+            weighted[i], weight[i] = self._others(float(points[i]), int(own[i]))
+        return np.asarray(weighted / np.where(weight > 0.0, weight, np.nan))
+
+    def _others(self, point: float, own: int) -> tuple[float, float]:
+        """The sums at a point, directly, over all samples but one."""
+        # Beyond twice the reach a Gaussian is nothing beside what it is within.
+        start, stop = np.searchsorted(self._u, [point - 2 * self._sums.reach, point + 2 * self._sums.reach])
+        near = np.arange(start, stop)
+        near = near[near != own]
+        weights = self._sums.weights(self._u[near], np.full(len(near), point))
+        return float(weights @ self._y[near]), float(weights.sum())
+
+    def _without_samples(self, points: Array, own: Index, total: int) -> Array | float:
+        """What points with an empty window get; ``own`` is the sample that each is to do without."""
         match self._empty:
             case "nearest":
-                return self._nearest(points)
+                return self._nearest(points, own)
             case "zero":
                 return 0.0
             case "mean":
-                return float(self._y_sums.between(0, len(self._u))) / len(self._u)
+                return self._mean_without(np.zeros_like(own), np.full_like(own, len(self._u)), own)
             case "fail":
                 raise EstimationError(
                     f"{len(points)} of {total} points have no sample within the kernel's window "
@@ -133,16 +181,25 @@ class KernelRegression:
                 )
         assert_never(self._empty)
 
-    def _nearest(self, points: Array) -> Array:
+    def _nearest(self, points: Array, own: Index) -> Array:
         """The mean of y over all samples at the least distance, on both sides if they tie."""
         right = np.searchsorted(self._u, points)
-        below, above = self._u[np.maximum(right - 1, 0)], self._u[np.minimum(right, len(self._u) - 1)]
-        left_distance = np.where(right > 0, points - below, np.inf)
+        left = right - 1
+        left -= left == own
+        right += right == own
+        below, above = self._u[np.maximum(left, 0)], self._u[np.minimum(right, len(self._u) - 1)]
+        left_distance = np.where(left >= 0, points - below, np.inf)
         right_distance = np.where(right < len(self._u), above - points, np.inf)
         start = np.where(left_distance <= right_distance, np.searchsorted(self._u, below), right)
         stop = np.where(right_distance <= left_distance, np.searchsorted(self._u, above, "right"), right)
-        mean: Array = self._y_sums.between(start, stop) / (stop - start)
-        return mean
+        return self._mean_without(start, stop, own)
+
+    def _mean_without(self, start: Index, stop: Index, own: Index) -> Array:
+        """The means of y[start:stop] without the sample ``own``; nan if that leaves none."""
+        inside = (start <= own) & (own < stop)
+        y = np.where(inside, self._y[np.minimum(own, len(self._u) - 1)], 0.0)
+        with np.errstate(invalid="ignore"):
+            return np.asarray((self._y_sums.between(start, stop) - y) / (stop - start - inside))
 
 
 class Bandwidth(Spec):
@@ -180,7 +237,7 @@ class Kernel(NonparametricSpec):
     empty: Empty = "nearest"
     """What a point without a sample in its window gets; fail: the estimate fails."""
 
-    def regression(self, samples: Record) -> Characteristic:
+    def regression(self, samples: Record) -> KernelRegression:
         return KernelRegression(
             samples.u,
             samples.y,

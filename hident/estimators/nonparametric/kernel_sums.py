@@ -1,7 +1,8 @@
 """Kernel-weighted sums over sorted samples, exact and in O((N + M) log N).
 
 All classes take samples sorted by u and, at sorted points x, return the sums over k of y_k K((u_k - x)/h)
-and of K((u_k - x)/h), shape (M,) each; the second is 0 where x has no sample.
+and of K((u_k - x)/h), shape (M,) each; the second is 0 where x has no sample. ``weights`` are single terms
+K((u - x)/h) at points x (M,), and ``reach`` is how far from x a sample counts as one.
 
 For kernels other than windows, samples are collected in boxes [i w, (i + 1) w) whose width w is a power of
 two near h. Then a sample's box and its place in the box, t = u/w - i - 1/2, come without rounding, however
@@ -66,13 +67,19 @@ class WindowSums:
 
     def __init__(self, u: Array, y_sums: PrefixSums, window: Window, bandwidth: float) -> None:
         self._u, self._y_sums = u, y_sums
-        self._reach = window.reach * bandwidth
+        self.reach = window.reach * bandwidth
+        self._closed = window.closed
         self._sides: tuple[Any, Any] = ("left", "right") if window.closed else ("right", "left")
 
     def __call__(self, points: Array) -> tuple[Array, Array]:
-        start = _search(self._u, points - self._reach, self._sides[0])
-        stop = _search(self._u, points + self._reach, self._sides[1])
+        start = _search(self._u, points - self.reach, self._sides[0])
+        stop = _search(self._u, points + self.reach, self._sides[1])
         return self._y_sums.between(start, stop), (stop - start).astype(float)
+
+    def weights(self, u: Array, points: Array) -> Array:
+        low, high = points - self.reach, points + self.reach
+        inside = (low <= u) & (u <= high) if self._closed else (low < u) & (u < high)
+        return inside.astype(float)
 
 
 @dataclass(frozen=True)
@@ -107,6 +114,7 @@ class PiecewiseSums:
         self, u: Array, y: Array, y_sums: PrefixSums, kernel: PiecewiseKernel, bandwidth: float
     ) -> None:
         self._u, self._y, self._kernel, self._bandwidth = u, y, kernel, bandwidth
+        self.reach = kernel.edges[-1] * bandwidth
         # A window of half-width h touches no more than its own box and two neighbours.
         self._width = 2.0 ** math.ceil(math.log2(bandwidth))
         self._moments: list[tuple[PrefixSums, PrefixSums | None]] = [(y_sums, None)]
@@ -131,6 +139,12 @@ class PiecewiseSums:
                     weight += factor * ((high - low) if sums is None else sums.between(low, high))
         self._sum_directly(points, bounds[0], bounds[-1], weighted, weight)
         return weighted, weight
+
+    def weights(self, u: Array, points: Array) -> Array:
+        low, high = (
+            points + edge * self._bandwidth for edge in (self._kernel.edges[0], self._kernel.edges[-1])
+        )
+        return np.where((low <= u) & (u <= high), self._kernel((u - points) / self._bandwidth), 0.0)
 
     def _boxes(self, points: Array) -> Iterator[tuple[Index, Index, Array]]:
         """The boxes about each point: first sample, first sample after, and d in (u - x)/w = t + d."""
@@ -171,11 +185,12 @@ class GaussianSums:
     weight of 2e-16) counts as having none.
     """
 
-    REACH = 8.5
+    _REACH = 8.5
     _FARTHEST = 12.0
 
     def __init__(self, u: Array, y: Array, bandwidth: float) -> None:
         self._u, self._bandwidth = u, bandwidth
+        self.reach = self._REACH * bandwidth
         # Small boxes keep |T| and |X| below 3/8, so that few terms do and little cancels.
         self._width = 2.0 ** math.floor(math.log2(0.75 * bandwidth))
         self._spacing = self._width / bandwidth
@@ -202,10 +217,13 @@ class GaussianSums:
             sums *= x
             sums += np.repeat(coefficients, counts, axis=1)
         sums *= np.exp(-0.5 * x**2)
-        reach = self.REACH * self._bandwidth
-        alone = _search(self._u, points - reach) == _search(self._u, points + reach, "right")
+        near = points - self.reach, points + self.reach
+        alone = _search(self._u, near[0]) == _search(self._u, near[1], "right")
         sums[1, alone] = 0.0
         return sums[0], sums[1]
+
+    def weights(self, u: Array, points: Array) -> Array:
+        return np.exp(-0.5 * ((u - points) / self._bandwidth) ** 2) / math.sqrt(2.0 * math.pi)
 
     def _local_expansions(self, boxes: Array) -> Array:
         """The coefficients of X^l of both sums about the centres of the boxes: shape (terms, 2, boxes)."""

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from hident.arrays import Array, Characteristic
+from hident.arrays import Array, Index
 from hident.config.spec import Of, Real, Spec, component
 from hident.errors import EstimationError
 from hident.estimators.base import require_finite
@@ -33,7 +33,8 @@ Density = Callable[[Array], Array]
 class OrthogonalSeries:
     """A fitted ratio of series, callable on arrays of shape (M,).
 
-    ``coefficients`` holds the rows alpha and, unless the ``density`` is known, beta.
+    ``u`` and ``y`` (N,) are the samples and ``q`` the cutoff level; ``coefficients`` holds the rows alpha
+    and, unless the ``density`` is known, beta.
 
     Raises
     ------
@@ -42,10 +43,26 @@ class OrthogonalSeries:
     """
 
     basis: BasisSpec
+    q: int
+    u: Array
+    y: Array
     coefficients: Array
     density: Density | None = None
 
     def __call__(self, points: Array) -> Array:
+        return self._ratio(self._series(points), points)
+
+    def left_out(self, samples: Index, points: Array) -> Array:
+        """The estimates at ``points`` (M,), the m-th from all samples but ``samples[m]``.
+
+        The cutoff level stays. The samples must lie in the basis's domain.
+        """
+        n = len(self.u)
+        products = self.basis.products(self.u[samples], points, self.q)
+        own = _weights(self.y[samples], self.density) * products / n
+        return self._ratio((self._series(points) - own) * (n / (n - 1)), points)
+
+    def _series(self, points: Array) -> Array:
         low, high = self.basis.domain()
         outside = len(points) - np.count_nonzero((points >= low) & (points <= high))
         if outside:
@@ -53,7 +70,9 @@ class OrthogonalSeries:
                 f"{outside} of {len(points)} points lie outside the domain [{low:g}, {high:g}] of the "
                 f"{self.basis.kind} basis"
             )
-        series = self.basis.series(points, self.coefficients)
+        return self.basis.series(points, self.coefficients)
+
+    def _ratio(self, series: Array, points: Array) -> Array:
         denominator = series[1] if self.density is None else self.density(points)
         # An estimated density can vanish, and a known one is zero outside its support.
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -87,14 +106,16 @@ def fit_orthogonal_series(
     the domain belong to no function of the basis: they are left out of the sums but counted in 1/N.
     """
     require_finite(y)
-    n = len(u)
     low, high = basis.domain()
     inside = (u >= low) & (u <= high)
-    if not inside.all():
-        u, y = u[inside], y[inside]
     # Mzyk 2009, section III-B: alpha_i = 1/N sum y_k phi_i(u_k), beta_i = 1/N sum phi_i(u_k)
-    weights = y[None] if density is not None else np.stack([y, np.ones_like(y)])
-    return OrthogonalSeries(basis, basis.sums(u, weights, q) / n, density)
+    sums = basis.sums(u[inside], _weights(y[inside], density), q)
+    return OrthogonalSeries(basis, q, u, y, sums / len(u), density)
+
+
+def _weights(y: Array, density: Density | None) -> Array:
+    """What multiplies phi_i(u_k) in the sums: y_k, and 1 where the density is estimated."""
+    return y[None] if density is not None else np.stack([y, np.ones_like(y)])
 
 
 class Terms(Spec):
@@ -183,7 +204,7 @@ class Orthogonal(NonparametricSpec):
             raise ValueError("must be 'estimated' or a mapping with 'distribution: uniform' or 'gaussian'")
         return _DENSITIES[distribution].model_validate(value)
 
-    def regression(self, samples: Record) -> Characteristic:
+    def regression(self, samples: Record) -> OrthogonalSeries:
         q = self.terms.level(len(samples))
         density = None if self.density == "estimated" else self.density
         return fit_orthogonal_series(samples.u, samples.y, self.basis, q, density)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Protocol, Self
 
 import numpy as np
 from pydantic_core import PydanticCustomError
@@ -113,6 +113,16 @@ class FilteredRecord(Record):
         return (np.cumsum(self.kept) - 1)[order[self.kept[order]]]
 
 
+class Regression(Protocol):
+    """An estimated regression of the output on the input, which each of its samples can be taken out of."""
+
+    def __call__(self, u: Array, /) -> Array:
+        """The values at points (M,)."""
+
+    def left_out(self, samples: Index, points: Array) -> Array:
+        """The values at increasing ``points`` (M,), the m-th from all samples but ``samples[m]``."""
+
+
 class KnownPoint(Spec):
     """A point at which the characteristic is known."""
 
@@ -131,6 +141,26 @@ class Anchored:
 
     def __call__(self, u: Array) -> Array:
         return self.regression(u) + self.constant
+
+
+@dataclass(frozen=True, eq=False)
+class EachLeftOut:
+    """The estimate at its own ``samples``, each without its own; what undid the linear block stays."""
+
+    regression: Regression
+    samples: Record
+    known_point: KnownPoint | None = None
+
+    def __call__(self, low: float, high: float) -> tuple[Array, Array]:
+        order = self.samples.order
+        u = self.samples.u[order]
+        inside = slice(np.searchsorted(u, low), np.searchsorted(u, high, "right"))
+        order, u = order[inside], u[inside]
+        values = self.regression.left_out(order, u)
+        if self.known_point is not None:
+            there = self.regression.left_out(order, np.full(len(u), self.known_point.u))
+            values += self.known_point.value - there
+        return u, values
 
 
 class _OfDynamics(Of):
@@ -178,7 +208,7 @@ class NonparametricSpec(EstimatorSpec):
     def draws(self) -> bool:
         return self.prefilter is not None and self.prefilter.draws()
 
-    def regression(self, samples: Record) -> Characteristic:
+    def regression(self, samples: Record) -> Regression:
         """The estimated regression of the output on the input."""
         raise NotImplementedError
 
@@ -186,8 +216,8 @@ class NonparametricSpec(EstimatorSpec):
         return self.prefilter.names() if self.prefilter else ()
 
     def provides(self) -> frozenset[str]:
-        dynamics = self.prefilter.provides() if self.prefilter else frozenset()
-        return dynamics | {"nonlinearity"}
+        more = self.prefilter.provides() | {"unfiltered"} if self.prefilter else frozenset()
+        return more | {"nonlinearity", "left_out"}
 
     def fewest_samples(self) -> int:
         return self.prefilter.fewest_samples() if self.prefilter else 1
@@ -207,14 +237,18 @@ class NonparametricSpec(EstimatorSpec):
         if self.prefilter is not None:
             make = partial(_filtered, self.prefilter, record, rng)
             dynamics, samples = make() if self.prefilter.draws() else record.once(self._shared, make)
-        return replace(dynamics, nonlinearity=self._anchored(self.regression(samples)))
+            plain = self.model_copy(update={"prefilter": None})
+            dynamics = replace(dynamics, unfiltered=partial(plain.fit, record))
+        regression = self.regression(samples)
+        left_out = EachLeftOut(regression, samples, self.known_point)
+        return replace(dynamics, nonlinearity=self._anchored(regression), left_out=left_out)
 
     @cached_property
     def _shared(self) -> Hashable:
         """What estimators with one and the same prefilter have in common; a plugin's may have no hash."""
         return type(self.prefilter), repr(self.prefilter)
 
-    def _anchored(self, regression: Characteristic) -> Characteristic:
+    def _anchored(self, regression: Regression) -> Characteristic:
         if self.known_point is None:
             return regression
         there = float(regression(np.array([self.known_point.u]))[0])

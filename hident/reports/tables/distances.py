@@ -23,13 +23,11 @@ if TYPE_CHECKING:
 _NOTE = "Distance: mean over the rows of |log(ours / printed)|; 0.1 is about 10 %."
 
 
-class _Distances(TableSpec):
-    rows: AxisName
-    """The axis over which the printed numbers are averaged."""
+class SettingsSpec(TableSpec):
+    """Base of the tables that hold settings of open choices against the printed numbers."""
+
     cells: tuple[PublishedCells, ...]
     """The correspondence of cells; several may name the same printed quantity."""
-    best: Annotated[Count, Field(ge=1)] = 3
-    """How many of the nearest settings are shown; the CSV holds all."""
     at: CaseLabels = {}
     """Labels of axes that limit the settings; all by default."""
 
@@ -38,6 +36,13 @@ class _Distances(TableSpec):
             yield ("cells",), "needs 'paper', the folder under experiments/ with the numbers"
         for i, message in cells_astray(plan, self.cells):
             yield ("cells", i), message
+
+
+class _Distances(SettingsSpec):
+    rows: AxisName
+    """The axis over which the printed numbers are averaged."""
+    best: Annotated[Count, Field(ge=1)] = 3
+    """How many of the nearest settings are shown; the CSV holds all."""
 
     def axes(self, results: Results) -> list[str]:
         return [axis.name for axis in results.plan.axes if axis.name != self.rows]
