@@ -79,6 +79,8 @@ class PublishedCells(Spec):
     """The statistic over trials that stands beside the printed number."""
     at: CaseLabels = {}
     """Labels of axes that limit the correspondence; all by default."""
+    circular: bool = False
+    """Whether the printed number is the truth of this file, so that it is no wonder that it comes out."""
 
     @model_validator(mode="after")
     def _one_or_several(self) -> Self:
@@ -106,6 +108,12 @@ def _given(estimator: Any) -> Any:
     return estimator
 
 
+def _as_changes(value: Any) -> Any:
+    if not isinstance(value, Mapping) or not value:
+        raise ValueError("must set values by their key path, as 'noise.std: 2'")
+    return value
+
+
 class Published(Spec):
     """The printed numbers that a run is held against."""
 
@@ -113,6 +121,8 @@ class Published(Spec):
         Annotated[int, Field(ge=1)] | Literal["unknown", "exact"], BeforeValidator(_as_runs)
     ]
     """Runs that the paper averages; 'unknown' if it does not say, 'exact' for a formula's value."""
+    same_data: bool = False
+    """Whether the trials are the paper's own data, as many as it ran: then digits are equal or differ."""
     cells: tuple[PublishedCells, ...]
     """The correspondence of cells."""
 
@@ -142,6 +152,13 @@ class Experiment(Written, Cases):
     """Figures, each written as NAME.png."""
     published: Published | None = None
     """The printed numbers that the results stand beside."""
+    alternatives: dict[str, Annotated[dict[str, Any], BeforeValidator(_as_changes)]] = {}
+    """Plausible mistakes and other readings, each with the values that it sets, by key path as in 'cases'.
+
+    'hident power' runs them, and says which printed numbers tell them from this file. In a path,
+    'estimators.*.KEY' is that key of every estimator that holds it, and likewise for metrics. 'statistic'
+    sets that of all numbers.
+    """
 
     @field_validator("version", mode="before")
     @classmethod
@@ -303,7 +320,7 @@ def load(
         )
     complaints: list[Complaint] = []
     _load_plugins(document, path)
-    document = repeated(document, Experiment, complaints, untouched=("cases", "skip"))
+    document = repeated(document, Experiment, complaints, untouched=("cases", "skip", "alternatives"))
     if complaints:
         raise error_of([*complaints, *document.complaints])
     axes = sound_axes(document, complaints)
