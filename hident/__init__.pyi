@@ -92,6 +92,7 @@ from hident.reports.one_trial.responses import SettlingMap as SettlingMap, Valid
 from hident.reports.one_trial.residuals import ResidualFigure as ResidualFigure
 from hident.reports.one_trial.searches import Search as Search
 from hident.reports.one_trial.static_fits import StaticFit as StaticFit
+from hident.reports.tables.agreement import Agreement as Agreement
 from hident.reports.tables.against_truth import AgainstTruth as AgainstTruth
 from hident.reports.tables.choices import Choices as Choices
 from hident.reports.tables.distances import Distance as Distance, JointDistance as JointDistance
