@@ -1,5 +1,7 @@
 """The estimate at its own samples, each left out, against fits to all other samples."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from hident.records import Record
 
 SYSTEM = hi.Hammerstein(nonlinearity="mzyk2009", linear=hi.Ar(a=[0.8]))
 INPUT = hi.Iid(distribution="uniform", low=-3, high=3)
-RECORD = hi.simulate(SYSTEM, INPUT, 30, noise=hi.White(std=0.1))
+RECORD: Any = hi.simulate(SYSTEM, INPUT, 30, noise=hi.White(std=0.1))
 KERNELS = ("window_half", "window_unit", "triangular", "epanechnikov", "gaussian")
 BASES = (
     hi.Trigonometric(interval=[-3, 3]),
@@ -19,6 +21,11 @@ BASES = (
 )
 KNOWN = ({"u": 0.7, "value": 2.0}, None)
 known_points = pytest.mark.parametrize("known_point", KNOWN, ids=["known point", "none"])
+
+
+def fit(estimator, record) -> Any:
+    """The estimate, with a nonlinearity and its values at the samples left out."""
+    return hi.fit(estimator, record)
 
 
 def fixed_kernel(kernel, h, **fields):
@@ -37,13 +44,13 @@ def refitted(estimator, record, low, high):
     values = []
     for k in order:
         others = np.arange(len(record)) != k
-        estimate = hi.fit(estimator, Record(record.u[others], record.y[others]))
+        estimate = fit(estimator, Record(record.u[others], record.y[others]))
         values.append(estimate.nonlinearity(record.u[[k]])[0])
     return record.u[order], np.array(values)
 
 
 def check(estimator, record=RECORD, low=-2.5, high=2.9, tolerance=1e-10):
-    u, values = hi.fit(estimator, record).left_out(low, high)
+    u, values = fit(estimator, record).left_out(low, high)
     inputs, expected = refitted(estimator, record, low, high)
     np.testing.assert_array_equal(u, inputs)
     np.testing.assert_allclose(values, expected, rtol=tolerance, atol=tolerance)
@@ -66,7 +73,7 @@ def test_kernel_estimates_at_tied_inputs_and_at_the_edges_of_windows(kernel, h):
     assert len(np.unique(tied.u)) < 30
     order = np.lexsort((tied.y, tied.u))
     check_sorted = Record(tied.u[order], tied.y[order])
-    u, values = hi.fit(fixed_kernel(kernel, h), check_sorted).left_out(-3, 3)
+    u, values = fit(fixed_kernel(kernel, h), check_sorted).left_out(-3, 3)
     inputs, expected = refitted(fixed_kernel(kernel, h), check_sorted, -3, 3)
     np.testing.assert_array_equal(u, inputs)
     for point in np.unique(u):
@@ -75,7 +82,7 @@ def test_kernel_estimates_at_tied_inputs_and_at_the_edges_of_windows(kernel, h):
 
 
 def test_a_sample_alone_in_its_window_fails_where_empty_windows_fail():
-    estimate = hi.fit(fixed_kernel("gaussian", 0.01, empty="fail"), RECORD)
+    estimate = fit(fixed_kernel("gaussian", 0.01, empty="fail"), RECORD)
     with pytest.raises(EstimationError, match=r"\d+ of 30 points have no sample within the kernel's window"):
         estimate.left_out(-3, 3)
 
@@ -89,7 +96,7 @@ def test_series_are_those_of_a_fit_without_the_sample(basis, density, known_poin
 
 
 def test_a_point_outside_the_basis_is_refused_as_elsewhere():
-    estimate = hi.fit(fixed_series(hi.Laguerre()), RECORD)
+    estimate = fit(fixed_series(hi.Laguerre()), RECORD)
     with pytest.raises(EstimationError, match="points lie outside the domain"):
         estimate.left_out(-1, 1)
 
@@ -99,7 +106,7 @@ def test_a_point_outside_the_basis_is_refused_as_elsewhere():
 )
 def test_with_a_prefilter_the_filtered_samples_are_left_out_one_by_one(make):
     known = hi.KnownDynamics(a=[0.8])
-    u, values = hi.fit(make(prefilter=known), RECORD).left_out(-3, 3)
+    u, values = fit(make(prefilter=known), RECORD).left_out(-3, 3)
     filtered = Record(RECORD.u[1:], RECORD.y[1:] - 0.8 * RECORD.y[:-1])
     inputs, expected = refitted(make(), filtered, -3, 3)
     np.testing.assert_array_equal(u, inputs)
@@ -107,7 +114,7 @@ def test_with_a_prefilter_the_filtered_samples_are_left_out_one_by_one(make):
 
 
 def test_the_score_is_the_mean_square_at_the_samples_left_out():
-    estimate = hi.fit(fixed_kernel("gaussian", 0.3), RECORD)
+    estimate = fit(fixed_kernel("gaussian", 0.3), RECORD)
     interval = [-2, 2]
     score = hi.score(
         estimate, RECORD, ise=hi.IntegratedSquaredError(at="left_out_samples", interval=interval)
@@ -121,7 +128,7 @@ def test_without_smoothing_the_score_is_an_error_where_that_at_the_samples_is_th
     """A window that holds its own sample only: nothing is estimated, and only one of the scores says so."""
     system = hi.Hammerstein(nonlinearity="mzyk2009", linear=hi.Ar(a=[0.0]))
     record = hi.simulate(system, INPUT, 300, noise=hi.White(std=0.01))
-    estimate = hi.fit(fixed_kernel("window_unit", 1e-9, empty="mean"), record)
+    estimate = fit(fixed_kernel("window_unit", 1e-9, empty="mean"), record)
     scores = hi.score(
         estimate,
         record,

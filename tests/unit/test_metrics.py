@@ -165,5 +165,5 @@ def test_the_reduction_is_the_error_without_the_prefilter_over_that_with_it():
 
 def test_values_of_the_nonlinearity_stand_at_their_inputs():
     metric = hi.NonlinearityValue(at=[0.5, -2], factor=10)
-    found = hi.score(hi.Estimate(nonlinearity=np.abs), hi.Record([0], [0]), r=metric)
+    found = hi.score(hi.Estimate(nonlinearity=np.abs), hi.Record(np.zeros(1), np.zeros(1)), r=metric)
     assert found == {"r 0.5": 5.0, "r -2": 20.0}

@@ -76,4 +76,5 @@ def _holds(printed: Printed, low: float, high: float) -> bool:
 def _shown(one: pd.DataFrame, quantity: str) -> str:
     if quantity not in one.index:
         return "-"
-    return f"{written(float(one.loc[quantity, 'median']), 4)} {'~' if one.loc[quantity, 'inside'] else '!'}"
+    sign = "~" if one["inside"].loc[quantity] else "!"
+    return f"{written(float(one['median'].loc[quantity]), 4)} {sign}"
