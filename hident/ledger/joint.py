@@ -8,11 +8,13 @@ all, by any distance that treats them alike, is a p-value, exact for any number 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
 from hident.arrays import Array
+from hident.numerics.choices import ROUNDING
+from hident.numerics.rounding import is_constant
 
 REPLICATES = 999
 """How many means of several runs stand for their distribution."""
@@ -21,8 +23,8 @@ Statistic = Callable[[Array], Array]
 
 
 @np.errstate(all="ignore")
-def joint_p(rows: Array, printed: Array, half_unit: Array) -> float:
-    """The p-value of a printed row among our rows, by the Mahalanobis distance of normal scores of ranks.
+def joint_p(rows: Array, printed: Array, half_unit: Array, blocks: Sequence[object] = ()) -> float:
+    """The p-value of a printed row among our rows, by Mahalanobis distances of normal scores of ranks.
 
     Parameters
     ----------
@@ -32,18 +34,21 @@ def joint_p(rows: Array, printed: Array, half_unit: Array) -> float:
         The printed row.
     half_unit : (k,) array
         Half a unit of the last printed digit, to which our numbers are rounded too; 0 for none.
+    blocks : sequence of k labels, optional
+        Numbers of one label are taken together, and the distances of all blocks are added; one block by
+        default. Few trials know the correlations within a short row, and not those of a whole table.
 
     Returns
     -------
     float
-        The share of rows, the printed one among them, that lie as far out as it: at least 1 / (n + 1). 1 if
-        nothing varies and the printed row is that constant.
+        The share of rows, the printed one among them, that lie as far out as it: at least 1 / (n + 1). 0 if
+        a number does not vary with us and is another in print, 1 if none varies and all are the same.
 
     Notes
     -----
-    Ranks are taken of all n + 1 rows together, so no row is treated in another way than the others. Their
-    correlations are drawn to zero by the weight k / (n + 1 + k), so that no direction decides that the trials
-    do not know.
+    Ranks are taken of all n + 1 rows together, so no row is treated in another way than the others. The
+    correlations of k numbers are drawn to zero by the weight k / (n + 1 + k), so that no direction decides
+    that the trials do not know.
 
     Examples
     --------
@@ -53,21 +58,32 @@ def joint_p(rows: Array, printed: Array, half_unit: Array) -> float:
     >>> joint_p(rows, np.array([1.0, 1.0]), np.zeros(2))
     0.005
     """
+    fixed = np.array([is_constant(column) for column in rows.T])
+    slack = half_unit * (1.0 + 1e-9) + ROUNDING * np.abs(printed)
+    if np.any(fixed & (np.abs(rows[0] - printed) > slack)):
+        return 0.0
+    pool = _on_a_grid(np.vstack([rows, printed]), half_unit)
+    varies = ~fixed & np.any(pool != pool[-1], axis=0)
+    labels = np.array([str(label) for label in blocks] or ["one"] * len(printed))
+    distances = sum(
+        (_distances(pool[:, varies & (labels == label)]) for label in dict.fromkeys(labels[varies])),
+        start=np.zeros(len(pool)),
+    )
+    return float(np.mean(distances >= distances[-1] * (1.0 - 1e-9)))
+
+
+def _distances(pool: Array) -> Array:
+    """The squared Mahalanobis distance of each row."""
     from scipy.special import ndtri
     from scipy.stats import rankdata
 
-    pool = _on_a_grid(np.vstack([rows, printed]), half_unit)
-    pool = pool[:, np.any(pool != pool[-1], axis=0)]
     n, k = pool.shape
-    if not k:
-        return 1.0
     scores = ndtri((rankdata(pool, axis=0) - 0.5) / n)
     scores -= scores.mean(axis=0)
     scores /= np.sqrt(np.mean(scores**2, axis=0))
     weight = k / (n + k)
     correlations = (1.0 - weight) * (scores.T @ scores) / n + weight * np.eye(k)
-    distances = np.einsum("ij,ij->i", scores, np.linalg.solve(correlations, scores.T).T)
-    return float(np.mean(distances >= distances[-1] * (1.0 - 1e-9)))
+    return np.asarray(np.einsum("ij,ij->i", scores, np.linalg.solve(correlations, scores.T).T))
 
 
 @np.errstate(all="ignore")
@@ -122,6 +138,8 @@ def combined_p(values: Iterable[float]) -> float:
     from scipy.special import gammaincc
 
     found = [value for value in values if not math.isnan(value)]
+    if 0.0 in found:
+        return 0.0
     return float(gammaincc(len(found), -np.log(found).sum())) if found else float("nan")
 
 

@@ -29,6 +29,7 @@ from hident.engine.results import Results, Series
 from hident.ledger.joint import adjusted_p, combined_p, joint_p, replicates
 from hident.ledger.power import VerdictPower, power_of
 from hident.ledger.published import Printed, printed_beside, published_of, reasons_of
+from hident.numerics.rounding import is_constant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -171,7 +172,7 @@ def _mark(verdict: Verdict, *, repeated: bool) -> str:
     if verdict.cell.circular:
         return "circular"
     valid = verdict.series.valid
-    if verdict.word == "exact" and len(valid) and np.all(valid == verdict.printed.value):
+    if verdict.printed.value == 0.0 and len(valid) and not np.any(valid):
         return "structural"
     return "duplicate" if repeated else ""
 
@@ -195,7 +196,7 @@ def _with_groups(verdicts: Sequence[Verdict], results: Results) -> list[Verdict]
     for number, group in enumerate(groups):
         p, adjusted = _NAN, dict.fromkeys(map(id, group), _NAN)
         if pool := _pool(group, results.plan.trials, published):
-            p = joint_p(pool.rows, pool.printed, pool.half_unit)
+            p = pool.joint_p()
             every = adjusted_p(pool.rows, pool.printed, pool.half_unit) * of_table[group[0].printed.table]
             adjusted |= zip(map(id, pool.verdicts), np.minimum(every, 1.0).tolist(), strict=True)
         for one in group:
@@ -258,6 +259,10 @@ class _Pool:
     printed: Array
     half_unit: Array
 
+    def joint_p(self) -> float:
+        """The p-value, the numbers of a printed row taken together."""
+        return joint_p(self.rows, self.printed, self.half_unit, [one.printed.row for one in self.verdicts])
+
 
 def group_p(group: Sequence[Verdict], trials: int, published: Published, runs: int = 1) -> float:
     """The p-value of numbers from the same data, against the joint distribution of our trials; nan: none.
@@ -266,7 +271,7 @@ def group_p(group: Sequence[Verdict], trials: int, published: Published, runs: i
     many as ``runs`` are taken.
     """
     pool = _pool(group, trials, published, runs)
-    return joint_p(pool.rows, pool.printed, pool.half_unit) if pool else _NAN
+    return pool.joint_p() if pool else _NAN
 
 
 def _pool(group: Sequence[Verdict], trials: int, published: Published, runs: int = 1) -> _Pool | None:
@@ -375,6 +380,8 @@ def _of_single_trials(printed: Printed, valid: Array, runs: int | str) -> _Judge
     too_few = math.floor(share * n)
     outside = {"<": betabinom.cdf(too_few, n, *shape), ">": betabinom.cdf(too_few, n, *shape[::-1])}
     beyond = outside[printed.bound] if printed.bound else outside["<"] + outside[">"]
+    if is_constant(valid):
+        beyond = float(below == n or above == n)
     tail = {"<": n - above, ">": n - below}.get(printed.bound, 2 * (n - max(below, above)))
     p = min(1.0, (tail + 1.0) / (n + 1.0))
     return _Judgement(_NAN, low, high, interval, p, float(min(max(1.0 - beyond, 0.0), 1.0)))

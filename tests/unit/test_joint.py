@@ -35,6 +35,33 @@ def test_a_true_row_is_rejected_at_the_stated_rate(level):
     assert np.mean(p <= level) == pytest.approx(level, abs=3 * (level * (1 - level) / 2000) ** 0.5 + 1 / 61)
 
 
+def test_a_true_row_of_several_blocks_is_rejected_at_the_stated_rate():
+    def in_blocks(rows, printed, half):
+        return joint_p(rows, printed, half, "aabbbb")
+
+    p = values(in_blocks, 0.0)
+    assert np.mean(p <= 0.05) == pytest.approx(0.05, abs=3 * (0.05 * 0.95 / 2000) ** 0.5 + 1 / 61)
+
+
+def test_blocks_find_in_few_trials_what_the_whole_does_not():
+    """Six rows of seven numbers, forty trials."""
+    rng = np.random.default_rng(4)
+    mixed = np.linalg.cholesky(0.9 * np.ones((7, 7)) + 0.1 * np.eye(7))
+
+    def table(n):
+        return (rng.standard_normal((n, 6, 7)) @ mixed.T).reshape(n, 42)
+
+    labels = np.repeat(range(6), 7)
+    shift = np.tile([1.0, 0, 0, 0, 0, 0, 0], 6)
+    found = []
+    for _ in range(100):
+        rows, printed = table(40), table(1)[0] + shift
+        found.append([joint_p(rows, printed, np.zeros(42), blocks) for blocks in ((), labels)])
+    whole, blocks = np.mean(np.array(found) <= 0.05, axis=0)
+    assert blocks > 0.7
+    assert whole < blocks - 0.4
+
+
 def test_a_shift_against_the_correlation_is_found_that_no_number_shows():
     shift = np.array([1.4, 0, 0, -1.4, 0, 0])
     rejected = np.mean(values(joint_p, shift, tables=300) <= 0.05)
@@ -63,7 +90,9 @@ def test_the_most_extreme_row_has_the_least_p():
 def test_constants():
     rows = np.ones((50, 2))
     assert joint_p(rows, np.ones(2), np.zeros(2)) == 1.0
-    assert joint_p(rows, np.array([1.0, 2.0]), np.zeros(2)) == pytest.approx(1 / 51)
+    # What does not vary has no distribution to be far out in.
+    assert joint_p(rows, np.array([1.0, 2.0]), np.zeros(2)) == 0.0
+    assert joint_p(rows, np.array([1.0, 1.04]), np.array([0.0, 0.05])) == 1.0
     assert adjusted_p(rows, np.array([1.0, 2.0]), np.zeros(2)).tolist() == pytest.approx([1.0, 1 / 51])
 
 
@@ -73,6 +102,7 @@ def test_combined_p_is_uniform_and_leaves_out_what_is_unknown():
     assert np.mean(found < 0.05) == pytest.approx(0.05, abs=0.015)
     assert combined_p([0.3, float("nan")]) == pytest.approx(0.3)
     assert np.isnan(combined_p([float("nan")]))
+    assert combined_p([0.0, 0.9]) == 0.0
 
 
 @pytest.mark.parametrize("runs", [10, 100, None])
