@@ -326,6 +326,8 @@ def _judged(printed: Printed, cell: PublishedCells, series: Series, published: P
     if not found.low <= found.ours <= found.high and not math.isnan(found.ours):
         interval += f"; ours lies outside it, as a {cell.statistic} may that hangs on few trials"
     flips = found.agreement if word == "differs" else 1.0 - found.agreement
+    if is_constant(series.valid):
+        flips = 0.0
     return Verdict(
         printed,
         cell,
@@ -380,8 +382,6 @@ def _of_single_trials(printed: Printed, valid: Array, runs: int | str) -> _Judge
     too_few = math.floor(share * n)
     outside = {"<": betabinom.cdf(too_few, n, *shape), ">": betabinom.cdf(too_few, n, *shape[::-1])}
     beyond = outside[printed.bound] if printed.bound else outside["<"] + outside[">"]
-    if is_constant(valid):
-        beyond = float(below == n or above == n)
     tail = {"<": n - above, ">": n - below}.get(printed.bound, 2 * (n - max(below, above)))
     p = min(1.0, (tail + 1.0) / (n + 1.0))
     return _Judgement(_NAN, low, high, interval, p, float(min(max(1.0 - beyond, 0.0), 1.0)))
