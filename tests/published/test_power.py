@@ -70,3 +70,12 @@ def test_every_table_is_held_against_at_least_eight_alternatives(state):
 def test_every_alternative_can_be_run(config):
     plugins.load()
     check_alternatives(load(config))
+
+
+def test_the_joint_test_finds_what_the_numbers_do_not():
+    """As docs/verdicts.md says of Table 1 of Chen, Hwang and Chang."""
+    text = (ROOT / "results/power/chen_table1/table.md").read_text(encoding="utf-8")
+    rows = {row.split("|")[1].strip(): row for row in text.splitlines() if row.count("|") == 5}
+    assert "14 of 74" in rows["a_3 20 % larger"]
+    assert "0.0050 | rejected" in rows["a_3 20 % larger"]
+    assert all("survives" in rows[f"noise {much} as strong"] for much in ("twice", "half"))
