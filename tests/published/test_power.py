@@ -62,8 +62,8 @@ def test_the_accepted_alternatives_are_those_of_the_configurations(state):
 
 def test_every_table_is_held_against_at_least_eight_alternatives(state):
     few = {table.config for table in state.tables if table.tried < 8 and table.counts}
-    # The steady states of table 3 are those of chen_example3 to 5, which have their own.
-    assert few <= {"chen_table3"}
+    # The steady states of table 3 are those of chen_example3 to 5; the text prints single numbers.
+    assert few <= {"chen_table3", "chen_text"}
 
 
 @pytest.mark.parametrize("config", CONFIGS, ids=lambda path: path.stem)
