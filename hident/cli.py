@@ -334,7 +334,7 @@ def power(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress and no tables.")] = False,
     plugin: Plugins = None,
 ) -> None:
-    """Run the alternatives, and write which of them each printed number excludes.
+    """Run the alternatives, and write what the numbers exclude.
 
     Configurations without 'alternatives' are left out.
     """
@@ -435,7 +435,8 @@ def accept(
     from hident.commands.running import accept_power, bench, check_finished
 
     if of_power:
-        for line in accept_power(configs, out, results):
+        plans = _plans(map(Path, configs), assignments, None, seed, plugin)
+        for line in accept_power(plans, out, results):
             print(line)
         return
     check_finished(configs, out)
@@ -458,7 +459,7 @@ def verify(
     ] = _RESULTS,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Check that each number that differs has its reason, and show what the verdicts can tell.
+    """Check that each difference has its reason, and what can differ.
 
     For each table: how its numbers came out, how likely it is as a whole, and how many of the alternatives it
     rejects.

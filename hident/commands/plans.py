@@ -12,6 +12,7 @@ from hident import plugins
 from hident.config.load import Document
 from hident.config.suggest import one_of
 from hident.engine.experiment import Plan, load
+from hident.engine.run_files import POWER
 from hident.errors import ConfigError, RecordAbsent
 
 
@@ -61,6 +62,10 @@ def load_plans(
         raise ConfigError("\n".join(errors))
     # Names that differ in capitals only are one folder on many systems.
     names = [plan.name.casefold() for plan in plans]
+    if POWER in names:
+        raise ConfigError(
+            f"a configuration cannot be named '{POWER}', the folder of what hident power writes"
+        )
     twice = sorted({plan.name for plan in plans if names.count(plan.name.casefold()) > 1})
     if twice:
         raise ConfigError(f"two files are named {one_of(twice)}, and the name is that of the output folder")

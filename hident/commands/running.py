@@ -63,16 +63,21 @@ class Bench:
 
     def power(self, trials: int | None) -> None:
         """Run the alternatives of the plans, and write what the printed numbers make of them."""
-        from hident.ledger.mutation import measured
+        from hident.ledger.mutation import measured, trials_of
         from hident.reports.output import power_page, write_power
 
         for plan in self.plans:
             with Store(self.store).writing(self.wait) as writer:
                 power = measured(plan, partial(self._alternative, plan, writer), trials)
             folder = self.out / POWER / plan.name
-            write_power(plan, power, folder, self._workers_used())
+            number = trials_of(plan, trials)
+            write_power(plan, power, number, folder, self._workers_used())
             if not self.quiet:
-                print(power_page(plan, power) if len(self.plans) == 1 else f"{plan.name}: wrote {folder}")
+                print(
+                    power_page(plan, power, number)
+                    if len(self.plans) == 1
+                    else f"{plan.name}: wrote {folder}"
+                )
 
     def _alternative(self, plan: Plan, writer: TrialStore, name: str, alternative: Plan) -> Results:
         return self._trials(alternative, writer, f"{plan.name}, {name}")
@@ -198,9 +203,21 @@ def check_finished(names: Iterable[str], out: Path) -> None:
             raise NothingToCompare(f"{out / name} holds no finished run: hident run {name}")
 
 
-def accept_power(names: Iterable[str], out: Path, results: Path) -> Iterator[str]:
-    """Accept what was measured of the alternatives; a line for each configuration."""
-    from hident.ledger.accept import accept
+def accept_power(plans: Iterable[Plan], out: Path, results: Path) -> Iterator[str]:
+    """Accept what was measured of the alternatives; a line for each configuration.
 
-    for name in (Path(name).stem for name in names):
-        yield str(accept(out / POWER / name, results / POWER))
+    ConfigError, before anything is accepted, where it was measured for another configuration.
+    """
+    from hident.ledger.accept import accept
+    from hident.ledger.power import without_reports
+
+    plans = list(plans)
+    for plan in plans:
+        folder = RunFolder(out / POWER / plan.name)
+        match folder.run():
+            case {"experiment": {"hash": known}} if known != without_reports(plan.experiment):
+                raise ConfigError(
+                    f"{folder.path} is not of {plan.path} as it is now: hident power {plan.name}"
+                )
+    for plan in plans:
+        yield str(accept(out / POWER / plan.name, results / POWER))

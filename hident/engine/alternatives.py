@@ -35,7 +35,13 @@ def alternative_plan(plan: Plan, name: str, trials: int | None = None) -> Plan:
         message = f"must be one of {one_of(_STATISTICS)}"
         raise document.error([Problem((*at, STATISTIC), message, statistic)])
     options = {"trials": min(trials or plan.trials, plan.trials), "seed": plan.seed}
-    found = load(_patched(document, name, _paths(document, name, changes)), (), options)
+    patched = _patched(document, name, _paths(document, name, changes))
+    try:
+        found = load(patched, (), options)
+    except ConfigError as error:
+        said = str(error).replace(f"cases.{AXIS}", "alternatives")
+        lines = (f"{line} (alternative '{name}')" for line in said.splitlines())
+        raise ConfigError("\n".join(lines)) from None
     if changes:
         known = {key for keys in plan.keys for key in keys.values()}
         units = [

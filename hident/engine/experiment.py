@@ -16,6 +16,7 @@ from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
+    AfterValidator,
     BeforeValidator,
     Field,
     GetJsonSchemaHandler,
@@ -114,6 +115,13 @@ def _as_changes(value: Any) -> Any:
     return value
 
 
+def _in_one_line(value: dict[str, Any]) -> dict[str, Any]:
+    for name in value:
+        if not name.strip() or not name.isprintable():
+            raise ValueError(f"the name {name!r} must be one line of text")
+    return value
+
+
 class Published(Spec):
     """The printed numbers that a run is held against."""
 
@@ -125,6 +133,14 @@ class Published(Spec):
     """Whether the trials are the paper's own data, as many as it ran: then digits are equal or differ."""
     cells: tuple[PublishedCells, ...]
     """The correspondence of cells."""
+
+    @model_validator(mode="after")
+    def _spread_of_several(self) -> Self:
+        if self.paper_trials in (1, "unknown") and any(cell.statistic == "std" for cell in self.cells):
+            raise ValueError("the std of one run does not exist: give 'paper_trials' as the number of runs")
+        if self.same_data and not isinstance(self.paper_trials, int):
+            raise ValueError("'same_data' needs the number of the paper's runs as 'paper_trials'")
+        return self
 
 
 class Experiment(Written, Cases):
@@ -152,7 +168,9 @@ class Experiment(Written, Cases):
     """Figures, each written as NAME.png."""
     published: Published | None = None
     """The printed numbers that the results stand beside."""
-    alternatives: dict[str, Annotated[dict[str, Any], BeforeValidator(_as_changes)]] = {}
+    alternatives: Annotated[
+        dict[str, Annotated[dict[str, Any], BeforeValidator(_as_changes)]], AfterValidator(_in_one_line)
+    ] = {}
     """Plausible mistakes and other readings, each with the values that it sets, by key path as in 'cases'.
 
     'hident power' runs them, and says which printed numbers tell them from this file. In a path,

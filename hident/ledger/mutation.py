@@ -9,12 +9,20 @@ from hident.engine.alternatives import alternative_plan
 from hident.engine.experiment import Plan, Published
 from hident.engine.results import Results
 from hident.ledger.joint import combined_p
-from hident.ledger.power import Mutation, NumberPower, VerdictPower
+from hident.ledger.power import FEWEST, Mutation, NumberPower, VerdictPower
 from hident.ledger.published import Key
 from hident.ledger.verdicts import LEVEL, Verdict, group_p, grouped, is_same_data, stand
 
-TRIALS = 40
-"""Of an alternative, at most: its verdicts need fewer than those of the configuration."""
+TRIALS = FEWEST
+"""Of an alternative by default: its verdicts need fewer than those of the configuration."""
+
+
+def trials_of(plan: Plan, trials: int | None = None) -> int:
+    """How many trials each alternative has: of equal data all, else as many as wanted and there are."""
+    published = plan.experiment.published
+    if published is not None and is_same_data(published, plan.trials):
+        return plan.trials
+    return min(trials or TRIALS, plan.trials)
 
 
 def measured(plan: Plan, run: Callable[[str, Plan], Results], trials: int | None = None) -> VerdictPower:
@@ -25,7 +33,7 @@ def measured(plan: Plan, run: Callable[[str, Plan], Results], trials: int | None
     published = plan.experiment.published
     assert published is not None
     digits = is_same_data(published, plan.trials)
-    wanted = plan.trials if digits else trials or TRIALS
+    wanted = trials_of(plan, trials)
     numbers: dict[Key, tuple[str, dict[str, bool]]] = {}
     mutations: list[Mutation] = []
     # Each is looked at before the first is run.

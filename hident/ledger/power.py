@@ -9,19 +9,22 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from hident.config.spec import canonical
 from hident.engine.experiment import Plan
-from hident.engine.run_files import MUTATIONS, NUMBERS
+from hident.engine.run_files import MUTATIONS, NUMBERS, RUN
 from hident.engine.trial import digest
 from hident.errors import ConfigError
 from hident.ledger.published import Key
 
 _NUMBERS = ("table", "row", "quantity", "printed", "alternative", "verdict")
 _MUTATIONS = ("table", "alternative", "numbers", "excluding", "joint_p", "verdict")
+FEWEST = 40
+"""Trials of an alternative, below which no number by itself has a p-value under 5 %."""
 _EXCLUDED = {True: "excluded", False: "fits"}
 _REJECTED = {True: "rejected", False: "survives"}
 
@@ -86,14 +89,14 @@ class VerdictPower:
 
 
 def power_of(plan: Plan) -> VerdictPower | None:
-    """The accepted power of a plan; None if there is none.
+    """The accepted power of a plan; None if there is none, or it is of another configuration.
 
     ConfigError if its files cannot be read.
     """
     if plan.paper is None or not plan.experiment.alternatives:
         return None
     numbers, mutations = plan.power_file(NUMBERS), plan.power_file(MUTATIONS)
-    if numbers is None or mutations is None:
+    if numbers is None or mutations is None or not is_of(plan.power_file(RUN), canonical(plan.experiment)):
         return None
     try:
         return VerdictPower.decoded(numbers, mutations)
@@ -102,6 +105,17 @@ def power_of(plan: Plan) -> VerdictPower | None:
             f"{plan.name}: the accepted results of its alternatives cannot be read ({error}): hident power "
             f"{plan.name}, and hident accept --power {plan.name}"
         ) from None
+
+
+def is_of(run: bytes | None, resolved: Any) -> bool:
+    """Whether the run.json beside the files of alternatives is that of this configuration."""
+    try:
+        match json.loads(run or b""):
+            case {"experiment": {"hash": known}}:
+                return bool(known == without_reports(resolved))
+    except (ValueError, RecursionError):
+        pass
+    return False
 
 
 def without_reports(resolved: Any) -> str:

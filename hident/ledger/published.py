@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -116,8 +117,9 @@ def read_published(paper: Path, content: bytes | None = None) -> dict[Key, Print
             raise ConfigError(f"{path}:{line}: has {len(cells)} cells, not {len(_COLUMNS)}")
         printed = Printed(*cells)
         try:
-            finite = Decimal(printed.printed.removeprefix(printed.bound)).is_finite()
-        except InvalidOperation:
+            number = printed.printed.removeprefix(printed.bound)
+            finite = Decimal(number).is_finite() and math.isfinite(float(number)) and "_" not in number
+        except (InvalidOperation, OverflowError):
             finite = False
         if not finite:
             raise ConfigError(f"{path}:{line}: '{printed.printed}' is not a number")

@@ -323,9 +323,11 @@ def _judged(printed: Printed, cell: PublishedCells, series: Series, published: P
     if not printed.bound and abs(found.ours - printed.value) <= slack:
         word = "exact"
     interval = found.interval
+    if published.same_data and not is_same_data(published, len(series.values)):
+        interval += f"; the paper's own data are {published.paper_trials} trials, not {len(series.values)}"
     if not found.low <= found.ours <= found.high and not math.isnan(found.ours):
         interval += f"; ours lies outside it, as a {cell.statistic} may that hangs on few trials"
-    flips = found.agreement if word == "differs" else 1.0 - found.agreement
+    flips = max(0.0, found.agreement if word == "differs" else 1.0 - found.agreement)
     if is_constant(series.valid):
         flips = 0.0
     return Verdict(
@@ -374,6 +376,11 @@ def _of_single_trials(printed: Printed, valid: Array, runs: int | str) -> _Judge
         interval = (
             f"all but the {'highest' if printed.bound == '>' else 'lowest'} 5 % of single trials: {why}"
         )
+    if share * (n + 1.0) < 1.0 and not is_constant(valid):
+        # So few trials have no such quantiles.
+        low, high = float(valid.min()), float(valid.max())
+        interval = f"the range of {n} single trials, {n - 1} of {n + 1} more of which lie in it: {why}"
+    if printed.bound:
         low, high = (-math.inf, high) if printed.bound == ">" else (low, math.inf)
     # Another block finds the number outside if too few of its trials lie on one side of it. How many do so is
     # beta-binomial, as the share is known from these trials only, with Jeffreys' prior.
@@ -382,8 +389,8 @@ def _of_single_trials(printed: Printed, valid: Array, runs: int | str) -> _Judge
     too_few = math.floor(share * n)
     outside = {"<": betabinom.cdf(too_few, n, *shape), ">": betabinom.cdf(too_few, n, *shape[::-1])}
     beyond = outside[printed.bound] if printed.bound else outside["<"] + outside[">"]
-    tail = {"<": n - above, ">": n - below}.get(printed.bound, 2 * (n - max(below, above)))
-    p = min(1.0, (tail + 1.0) / (n + 1.0))
+    tail = {"<": n - above, ">": n - below}.get(printed.bound, n - max(below, above))
+    p = min(1.0, (1.0 if printed.bound else 2.0) * (tail + 1.0) / (n + 1.0))
     return _Judgement(_NAN, low, high, interval, p, float(min(max(1.0 - beyond, 0.0), 1.0)))
 
 
@@ -412,6 +419,8 @@ def _of_averages(printed: Printed, series: Series, statistic: Statistic, runs: i
     from scipy.special import ndtr
 
     ours, error = series.value(statistic), series.standard_error(statistic)
+    if math.isnan(error):
+        return _Judgement(ours, -math.inf, math.inf, "none: a single trial has no spread")
     theirs = 0.0 if runs == "exact" else len(series.valid) / float(runs)
     both = error * (1.0 + theirs) ** 0.5
     reach = 3.0 * both

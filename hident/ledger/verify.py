@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -14,10 +14,12 @@ from hident.config.suggest import one_of
 from hident.engine.run_files import MUTATIONS, NUMBERS, POWER, RUN, VERDICTS
 from hident.errors import ConfigError, NothingToCompare
 from hident.ledger.joint import combined_p
-from hident.ledger.power import VerdictPower, without_reports
+from hident.ledger.power import VerdictPower, is_of
 from hident.ledger.published import Key, Reason, read_published, read_reasons
 from hident.ledger.verdicts import COLUMNS, LEVEL, Word
 from hident.run_folder import RunFolder
+
+_COUNTED = ("", "multiplicity")
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class Verification:
 def verify(folder: Path, experiments: Path, results: Path | None = None) -> Verification:
     """Check the verdicts of all configurations in ``folder`` against today's reasons.
 
-    What is known of alternatives is in ``folder``, else in ``results``, if accepted ones are named.
+    What is known of alternatives is what is accepted in ``results``, by default the folder itself.
 
     NothingToCompare if the folder holds no verdicts. ConfigError if a file of the ledger cannot be read, or
     the verdicts of a run are gone or not as it wrote them.
@@ -88,7 +90,7 @@ def verify(folder: Path, experiments: Path, results: Path | None = None) -> Veri
         configs.append(config)
         reasons = read_reasons(experiments / paper)
         rows = _verdicts(run)
-        power, said = _power(filter(None, (folder, results)), config, resolved)
+        power, said = _power(results or folder, config, resolved, rows)
         stale += [f"{config}: {line}" for line in said]
         tables += _tables(config, rows, power)
         for row in rows:
@@ -96,11 +98,11 @@ def verify(folder: Path, experiments: Path, results: Path | None = None) -> Veri
             judged.setdefault(paper, set()).add(key)
             if row["verdict"] == "differs":
                 covering = _covering(reasons, config, key)
-                if covering is None:
+                if covering is None and row["mark"] in _COUNTED:
                     unexplained.append(
                         f"{config}: {' / '.join(key)}: printed {row['printed']}, ours {row['ours']}"
                     )
-                else:
+                elif covering is not None:
                     used.add((paper, covering))
     unjudged, idle = [], []
     for paper, keys in judged.items():
@@ -116,7 +118,7 @@ def _tables(config: str, rows: Sequence[dict[str, str]], power: VerdictPower | N
     found = []
     for table in dict.fromkeys(row["table"] for row in rows):
         of_table = [row for row in rows if row["table"] == table]
-        counted = [row for row in of_table if row["mark"] in ("", "multiplicity")]
+        counted = [row for row in of_table if row["mark"] in _COUNTED]
         groups = {row["group"]: _number(row["joint_p"]) for row in of_table}
         rejected, tried = power.score(table) if power else (0, 0)
         survivors = [
@@ -139,25 +141,32 @@ def _tables(config: str, rows: Sequence[dict[str, str]], power: VerdictPower | N
     return found
 
 
-def _power(folders: Iterable[Path], config: str, resolved: Any) -> tuple[VerdictPower | None, list[str]]:
-    """What is known of a configuration's alternatives, and what is wrong with it."""
+def _power(
+    results: Path, config: str, resolved: Any, rows: Sequence[dict[str, str]]
+) -> tuple[VerdictPower | None, list[str]]:
+    """What is accepted of a configuration's alternatives, and what is wrong with it."""
     if not resolved.get("alternatives"):
         return None, []
-    for folder in (folder / POWER / config for folder in folders):
-        run = RunFolder(folder)
-        if not run.finished:
-            continue
-        if run.altered():
-            return None, [f"{folder} was altered since it was written: hident power {config}"]
-        try:
-            found = VerdictPower.decoded((folder / NUMBERS).read_bytes(), (folder / MUTATIONS).read_bytes())
-        except (OSError, ValueError) as error:
-            return None, [f"{folder} cannot be read ({error}): hident power {config}"]
-        match run.run():
-            case {"experiment": {"hash": known}} if known == without_reports(resolved):
-                return found, []
-        return found, [f"its alternatives were run for another configuration: hident power {config}"]
-    return None, [f"its alternatives were not run: hident power {config}"]
+    folder = RunFolder(results / POWER / config)
+    remedy = f"hident power {config}, then hident accept --power {config}"
+    if not folder.finished:
+        return None, [f"none are accepted: {remedy}"]
+    if folder.altered():
+        return None, [f"{folder.path} was altered since it was written: {remedy}"]
+    try:
+        found = VerdictPower.decoded(*((folder.path / name).read_bytes() for name in (NUMBERS, MUTATIONS)))
+    except (OSError, ValueError) as error:
+        return None, [f"{folder.path} cannot be read ({error}): {remedy}"]
+    if not is_of((folder.path / RUN).read_bytes(), resolved):
+        return None, [f"they were run for another configuration: {remedy}"]
+    said = []
+    for row in rows:
+        number = found.numbers.get((row["table"], row["row"], row["quantity"]))
+        if number is not None and number.printed != row["printed"]:
+            said.append(f"they were run for other printed numbers: {remedy}")
+        elif number is not None and row["alternatives"] != str(len(number.excluded)):
+            said.append(f"the run did not know them: hident run {config}")
+    return found, list(dict.fromkeys(said))
 
 
 def _number(text: str) -> float:

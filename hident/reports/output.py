@@ -27,7 +27,7 @@ from hident.engine.results import Results
 from hident.engine.run_files import PAGE, TABLE, TRIALS, VERDICTS, figure_file, table_file
 from hident.engine.trial import digest
 from hident.errors import TrialFailed
-from hident.ledger.power import VerdictPower, power_of, without_reports
+from hident.ledger.power import FEWEST, VerdictPower, power_of, without_reports
 from hident.ledger.published import PUBLISHED, REASONS
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import LEVEL, RUNS, Verdict, Word, fitting_runs, frame, judge
@@ -115,12 +115,12 @@ class Outputs:
         )
 
 
-def write_power(plan: Plan, power: VerdictPower, folder: Path, run: Mapping[str, Any]) -> None:
+def write_power(plan: Plan, power: VerdictPower, trials: int, folder: Path, run: Mapping[str, Any]) -> None:
     """Write what the printed numbers of a plan make of its alternatives, and run.json.
 
     StoreError if the folder cannot be written.
     """
-    texts = {**power.files(), PAGE: power_page(plan, power)}
+    texts = {**power.files(), PAGE: power_page(plan, power, trials)}
     with RunFolder(folder).renewed() as new:
         for name, text in texts.items():
             new.write_text(name, text)
@@ -129,6 +129,7 @@ def write_power(plan: Plan, power: VerdictPower, folder: Path, run: Mapping[str,
                 "experiment": {
                     "config": plan.name,
                     "seed": plan.seed,
+                    "trials": trials,
                     "hash": without_reports(plan.experiment),
                 },
                 "files": sorted(texts),
@@ -137,9 +138,14 @@ def write_power(plan: Plan, power: VerdictPower, folder: Path, run: Mapping[str,
         )
 
 
-def power_page(plan: Plan, power: VerdictPower) -> str:
+def power_page(plan: Plan, power: VerdictPower, trials: int) -> str:
     """What each table makes of each alternative, in words."""
-    parts = [f"# {plan.experiment.title}", "What the printed numbers make of the alternatives."]
+    parts = [
+        f"# {plan.experiment.title}",
+        f"What the printed numbers make of the alternatives, by {trials} trials of each.",
+    ]
+    if trials < FEWEST:
+        parts.append(f"Fewer than {FEWEST} reject nothing by one number.")
     for table in dict.fromkeys(one.table for one in power.mutations):
         found = [one for one in power.mutations if one.table == table]
         rejected, tried = power.score(table)

@@ -553,11 +553,15 @@ def test_alternatives_are_run_accepted_and_change_the_verdicts(done: Lab) -> Non
     done.run()
     assert verdicts()[1] == ("untestable", 0, 0)
     owed = done.hident("verify", code=1).stdout
-    assert "alternatives: tiny: its alternatives were not run: hident power tiny" in owed
+    assert "alternatives: tiny: none are accepted: hident power tiny, then hident accept --power tiny" in owed
     shown = done.hident("power", "tiny.yaml", "--jobs", "1", "--trials", "5").stdout
     assert "## T: mutation score" in shown
     assert "| far " in shown
-    assert done.hident("accept", "--power", "tiny").stdout == "tiny: new\n"
+    done.configure(seed=3)
+    assert "is not of tiny.yaml as it is now" in done.hident("accept", "--power", "tiny.yaml", code=2).stderr
+    done.configure(seed=7)
+    assert done.hident("accept", "--power", "tiny.yaml").stdout == "tiny: new\n"
+    assert "the run did not know them: hident run tiny" in done.hident("verify", code=1).stdout
     assert "no difference" in done.hident("compare", "out/power", "results/power").stdout
     done.run()
     assert verdicts()[1] == ("agrees", 1, 2)
@@ -568,6 +572,7 @@ def test_alternatives_are_run_accepted_and_change_the_verdicts(done: Lab) -> Non
     # What was run for another configuration says nothing of this one.
     done.configure(seed=5)
     done.run()
+    assert verdicts()[1][1:] == (0, 0)
     assert "were run for another configuration" in done.hident("verify", code=1).stdout
 
 

@@ -18,6 +18,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:the arithmetic in use")
 
 FIRST, AXES, CONTINUOUS = blocks("README.md", "yaml")
 RUN, ESTIMATOR = blocks("README.md", "python")
+(PRINTED,) = (one for one in blocks("docs/configuration.md", "yaml") if "alternatives:" in one)
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 # What the test adds: few trials, and files where a page names the verb alone.
 ADDED = {
@@ -49,7 +50,7 @@ ADDED = {
     "hident convert": "model.json --to python",
 }
 # A decision about results/, which has its own tests, and what takes a shell.
-NOT_RUN = {"hident accept", "hident accept <config>", "hident list | head -1"}
+NOT_RUN = {"hident power", "hident accept", "hident accept <config>", "hident list | head -1"}
 
 
 def hident(folder, *arguments):
@@ -160,6 +161,7 @@ def test_what_is_said_of_calls_between_the_lines(space, folder, monkeypatch):
         "model": hi.load_model("model.json"),
         "estimate": hi.Estimate(linear=hi.TransferFunction(a=(0.5,))),
         "experiment": {**yaml.safe_load(FIRST), "trials": 1},
+        "reproduction": {**yaml.safe_load(PRINTED), "trials": 2},
         "folder": "written",
         "ours": "written",
         "reference": "written",
@@ -167,7 +169,7 @@ def test_what_is_said_of_calls_between_the_lines(space, folder, monkeypatch):
         "y": np.zeros(3),
         "dt": 0.1,
     }
-    assert len(set(calls)) == 18
+    assert len(set(calls)) == 19
     for call in dict.fromkeys(calls):
         # One structure, as all of them take too long.
         eval(call.replace("identify(record)", "identify(record, ['linear'])"), {**space, **names})

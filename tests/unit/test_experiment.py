@@ -603,7 +603,7 @@ metrics:
     kernel = "static: {kind: kernel, kernel: window_unit, bandwidth: {h0: 0.2, alpha: 1/5}}"
     assert refused(text.replace("metrics:", f"  {kernel}\nmetrics:")) == [
         "a.yaml:16: metrics.p: the metric 'linear_percent_error' needs the linear or continuous of the "
-        "estimate, which estimator 'static' (kernel) does not give (it gives: nonlinearity); "
+        "estimate, which estimator 'static' (kernel) does not give (it gives: left_out, nonlinearity); "
         "'estimators:' under the metric limits it to some"
     ]
     discrete = text.replace("{kind: continuous, a: [2]}", "{kind: ar, a: [0.9]}")

@@ -51,7 +51,7 @@ def test_blocks_find_in_few_trials_what_the_whole_does_not():
     def table(n):
         return (rng.standard_normal((n, 6, 7)) @ mixed.T).reshape(n, 42)
 
-    labels = np.repeat(range(6), 7)
+    labels = np.repeat(range(6), 7).tolist()
     shift = np.tile([1.0, 0, 0, 0, 0, 0, 0], 6)
     found = []
     for _ in range(100):

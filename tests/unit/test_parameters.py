@@ -36,7 +36,7 @@ metrics:
   error: {kind: error, of: [a_1], estimators: [one, two]}
   least: {kind: value, of: [se_a_1], estimators: [bound]}
 published:
-  paper_trials: 1
+  paper_trials: 10
   cells:
     - {table: T, row: r, quantity: mean, estimator: one, metric: theta a_1}
     - {table: T, row: r, quantity: std, estimator: one, metric: theta a_1, statistic: std}
@@ -107,7 +107,7 @@ def test_parameters_stand_beside_the_printed_ones(make):
     table = results.plan.experiment.tables["t"].build(results, judge(results))
     assert table.header == ("parameter", "one", "printed", "two", "printed")
     assert table.rows == (
-        ("a_1", "2.00 ± 1.00", "2.0 = ± 1.5 ~", "2.00 ± 0.50", "0.5 ="),
+        ("a_1", "2.00 ± 1.00", "2.0 = ± 1.5 ?", "2.00 ± 0.50", "0.5 ="),
         ("loss", "7.00", "", "7.00", ""),
     )
 

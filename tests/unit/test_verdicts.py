@@ -1,12 +1,14 @@
 """Verdicts on printed numbers."""
 
+import json
+
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from hident.engine.results import Results, Series
 from hident.errors import ConfigError
-from hident.ledger.power import NumberPower, VerdictPower
+from hident.ledger.power import NumberPower, VerdictPower, without_reports
 from hident.ledger.verdicts import COLUMNS, frame, judge, stand
 from tests.unit.results_maker import PUBLISHED, made
 
@@ -96,10 +98,17 @@ def test_a_number_agrees_that_some_alternative_would_not_give(tmp_path):
     folder.mkdir(parents=True)
     more = "alternatives: {x: {system.linear.a: [0.9]}, y: {system.linear.a: [0.8]}}\n"
 
-    def with_power(printed, **excluded):
+    rest = PUBLISHED.format(runs="unknown", statistic="mean") + more
+    numbers = "".join(f"T,N={n},error,11.5,\n" for n in (10, 100, 1000))
+    plan = made(tmp_path, {("one", "10"): TRIALS}, rest=rest, printed=numbers).plan
+
+    ours = without_reports(plan.experiment)
+
+    def with_power(printed, known=ours, **excluded):
         power = VerdictPower({("T", "N=10", "error"): NumberPower(printed, excluded)}, ())
         for name, text in power.files().items():
             (folder / name).write_text(text)
+        (folder / "run.json").write_text(json.dumps({"experiment": {"hash": known}}))
         return judged(tmp_path, "11.5", more=more)
 
     found = with_power("11.5", x=True, y=False)
@@ -107,6 +116,9 @@ def test_a_number_agrees_that_some_alternative_would_not_give(tmp_path):
     assert with_power("11.5", x=False, y=False).word == "untestable"
     # What was said of another printed number says nothing of this one.
     assert with_power("11.6", x=True, y=True).alternatives == 0
+    # Nor what was found for another configuration.
+    assert with_power("11.5", known="other", x=True, y=True).alternatives == 0
+    with_power("11.5", x=True)
     (folder / "numbers.csv").write_text("a,b\n1,2\n")
     with pytest.raises(ConfigError, match="accepted results of its alternatives cannot be read"):
         judged(tmp_path, "11.5", more=more)
@@ -205,3 +217,40 @@ def test_one_of_many_cells_is_multiplicity_where_the_table_is_sound(tmp_path):
     assert marks("9", "0.5", "-0.5")[0] == (True, "")
     # Each by itself might be chance, and the three together are not.
     assert marks("2.3", "2.3", "2.3")[0] == (True, "")
+
+
+def test_of_few_trials_the_range_is_the_interval(tmp_path):
+    values = np.arange(20.0)
+    inside = judged(tmp_path, "18.9", runs=1, values=values)
+    assert (inside.word, inside.low, inside.high) == ("untestable", 0.0, 19.0)
+    assert "the range of 20 single trials, 19 of 21 more of which lie in it" in inside.interval
+    assert judged(tmp_path, "19.6", runs=1, values=values).word == "differs"
+    one = judged(tmp_path, "5", runs=10, values=[1.0])
+    assert (one.word, one.interval) == ("untestable", "none: a single trial has no spread")
+
+
+@pytest.mark.parametrize("n", [19, 39, 60])
+def test_p_is_small_at_most_as_often_as_it_says(tmp_path, n):
+    rng = np.random.default_rng(9)
+    rest = PUBLISHED.format(runs=1, statistic="mean")
+    numbers = "".join(f"T,N={k},error,0.000,\n" for k in (10, 100, 1000))
+    results = made(tmp_path, {("one", "10"): np.zeros(n)}, rest=rest, printed=numbers)
+    p = []
+    for _ in range(400):
+        # The printed 0 is one more draw where the others are seen from it.
+        draws = rng.normal(size=n + 1)
+        series = Series(results.series[0].unit, "mise", draws[1:] - draws[0])
+        p.append(stand(Results(results.plan, (series,)))[0].p)
+    for level in (0.05, 0.2):
+        assert np.mean(np.array(p) <= level) <= level + 3 * (level / 400) ** 0.5
+
+
+def test_the_spread_of_one_run_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="the std of one run does not exist"):
+        judged(tmp_path, "1", runs=1, statistic="std")
+
+
+@pytest.mark.parametrize("number", ["1e400", "1_0", "<1e999"])
+def test_numbers_that_no_computer_holds_are_refused(tmp_path, number):
+    with pytest.raises(ConfigError, match="is not a number"):
+        judged(tmp_path, number)

@@ -14,7 +14,7 @@ from hident.run_folder import RunFolder
 HEADER = ",".join(COLUMNS) + "\n"
 
 
-def row(verdict, *, number="a", mark="", group=0, p=""):
+def row(verdict, *, number="a", mark="", group=0, p="", tried=1):
     """A line of verdicts.csv."""
     cells = dict.fromkeys(COLUMNS, "") | {
         "table": "T",
@@ -23,6 +23,7 @@ def row(verdict, *, number="a", mark="", group=0, p=""):
         "printed": "1",
         "ours": "3",
         "verdict": verdict,
+        "alternatives": str(tried),
         "mark": mark,
         "group": str(group),
         "joint_p": str(p),
@@ -178,11 +179,20 @@ def test_the_mutation_score_is_that_of_the_accepted_alternatives_of_the_same_con
     def found():
         return verify(folders / "out", folders / "experiments", folders / "results")
 
-    assert found().stale == ("c: its alternatives were not run: hident power c",)
+    assert found().stale == ("c: none are accepted: hident power c, then hident accept --power c",)
     powered(folders / "results", {**resolved, "title": "b"})
     (table,) = found().tables
     assert (found().stale, table.rejected, table.tried, table.survivors) == ((), 1, 2, ("y",))
+    verdicts = folders / "out" / "c" / "verdicts.csv"
+    known = verdicts.read_text()
+    verdicts.write_text(known.replace("T,a,q,1,", "T,a,q,1.0,"))
+    assert "c: they were run for other printed numbers: " in found().stale[0]
+    verdicts.write_text(HEADER + row("differs", tried=0))
+    assert found().stale == ("c: the run did not know them: hident run c",)
+    verdicts.write_text(known)
     run.write_text(json.dumps({"experiment": {"config": "c", "resolved": {**resolved, "seed": 2}}}))
-    assert found().stale == ("c: its alternatives were run for another configuration: hident power c",)
+    assert found().stale == (
+        "c: they were run for another configuration: hident power c, then hident accept --power c",
+    )
     (folders / "results" / "power" / "c" / "mutations.csv").write_text("")
     assert "was altered since it was written: hident power c" in found().stale[0]
