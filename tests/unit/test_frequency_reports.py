@@ -47,7 +47,7 @@ metrics:
 """
 PUBLISHED = """\
 published:
-  paper_trials: 1
+  paper_trials: 10
   cells: [{table: T, row: r, quantity: gain, estimator: FGI, metric: found gain_i_1, statistic: median}]
 """
 TABLE = """\

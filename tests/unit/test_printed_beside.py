@@ -9,7 +9,7 @@ from tests.unit.results_maker import made
 
 BOTH = """
 published:
-  paper_trials: 1
+  paper_trials: 10
   cells:
     - {table: T, row: "N={samples}", quantity: error, estimator: one, metric: mise}
     - {table: T, row: "N={samples}", quantity: std, estimator: one, metric: mise, statistic: std}
