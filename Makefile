@@ -9,7 +9,7 @@ CONFIGS := $(sort $(wildcard configs/*.yaml))
 # Hundreds of processes start: without cached bytecode each takes a third longer.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup reproduce-all power test lint format arithmetics bench torture lock schema clean
+.PHONY: help setup reproduce-all reproduce-part power test lint format arithmetics bench torture lock schema clean
 .DEFAULT_GOAL := help
 
 help: ## Show the targets
@@ -32,6 +32,13 @@ reproduce-all: $(VENV)/ready ## Run every configuration, compare with results/, 
 	@$(BIN)/hident verify out --complete
 	@echo
 	@$(BIN)/hident compare out results --complete
+
+reproduce-part: $(VENV)/ready ## Run at most 40 trials of every configuration, and compare them with results/
+	@$(BIN)/hident run $(CONFIGS) --at-most 40
+	@echo
+	@$(BIN)/hident compare out results --complete --partial
+	@echo
+	@$(BIN)/hident verify results --complete
 
 power: $(VENV)/ready ## Run every alternative, and compare with results/power
 	@$(BIN)/hident power $(CONFIGS)

@@ -286,6 +286,9 @@ def run(
     configs: Configs,
     assignments: Set = None,
     trials: Trials = None,
+    at_most: Annotated[
+        int | None, typer.Option(min=1, help="No configuration runs more trials than these.")
+    ] = None,
     seed: Seed = None,
     jobs: Jobs = None,
     executor: Workers = None,
@@ -307,6 +310,8 @@ def run(
     from hident.commands.running import bench
 
     plans = _plans(configs, assignments, trials, seed, plugin, trial_timeout)
+    if at_most is not None:
+        plans = [plan.changed(trials=min(plan.trials, at_most)) for plan in plans]
     with (
         logging_to(log),
         bench(plans, out, store, wait, jobs, plugin or (), quiet, executor, scheduler) as place,

@@ -585,3 +585,14 @@ def test_alternatives_that_cannot_be_run_are_refused_before_anything_is_run(done
     assert said == done.hident("power", "tiny.yaml", code=2).stderr
     done.configure(alternatives={})
     assert "has 'alternatives'" in done.hident("power", "tiny.yaml", code=4).stderr
+
+
+def test_at_most_so_many_trials_of_each_configuration(lab: Lab) -> None:
+    lab.configure("more", trials=9)
+    lab.configure("fewer", trials=2)
+    lab.hident("run", "more.yaml", "fewer.yaml", "--at-most", "4", "--jobs", "1", "--quiet")
+    found = {
+        name: json.loads((lab.folder / f"out/{name}/run.json").read_text()) for name in ("more", "fewer")
+    }
+    assert {name: run["experiment"]["trials"] for name, run in found.items()} == {"more": 4, "fewer": 2}
+    assert lab.hident("run", "more.yaml", "--at-most", "0", code=2).returncode == 2
