@@ -33,8 +33,8 @@ reproduce-all: $(VENV)/ready ## Run every configuration, compare with results/, 
 	@echo
 	@$(BIN)/hident compare out results --complete
 
-reproduce-part: $(VENV)/ready ## Run at most 40 trials of every configuration, and compare them with results/
-	@$(BIN)/hident run $(CONFIGS) --at-most 40
+reproduce-part: $(VENV)/ready ## Run at most 20 trials of every configuration, and compare them with results/
+	@$(BIN)/hident run $(CONFIGS) --at-most 20
 	@echo
 	@$(BIN)/hident compare out results --complete --partial
 	@echo
