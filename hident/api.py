@@ -425,12 +425,14 @@ def power(
     ConfigError
         If there are no alternatives, or one of them cannot be run; and what :func:`run` raises.
     """
-    from hident.ledger.mutation import measured
+    from hident.engine.alternatives import alternative_plans
+    from hident.ledger.mutation import measured, trials_of
 
     plan = validate(experiment, overrides=overrides)
     if not plan.experiment.alternatives:
         raise ConfigError(f"{plan.name}: has no 'alternatives'")
-    return measured(plan, lambda name, alternative: _ran(alternative, store, executor), trials)
+    alternatives = alternative_plans(plan, trials_of(plan, trials))
+    return measured(plan, alternatives, lambda name, alternative: _ran(alternative, store, executor))
 
 
 def _ended(workers: Workers, kind: type[BaseException] | None, *_: object) -> None:
@@ -525,7 +527,7 @@ def verify(
 ) -> Verification:
     """The state of the ledger: how each table's numbers came out, and whether each difference has its reason.
 
-    What is known of alternatives is in ``folder``, else in ``results``, the accepted ones.
+    What is known of alternatives is what is accepted in ``results``.
     """
     from hident.ledger.verify import verify as verify_folder
 

@@ -78,6 +78,7 @@ Scheduler = Annotated[
     typer.Option(metavar="ADDRESS", help="A Dask scheduler that stands: tcp://HOST:PORT, or its file."),
 ]
 Wait = Annotated[float, typer.Option(min=0, help="Seconds to wait while another run holds the store.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress and no tables.")]
 TrialTimeout = Annotated[
     float | None,
     typer.Option(
@@ -274,10 +275,10 @@ def validate(
     All errors of all files are shown at once.
     """
     from hident.commands.plans import described
-    from hident.engine.alternatives import check_alternatives
+    from hident.engine.alternatives import alternative_plans
 
     for plan in _plans(configs, assignments, trials, seed, plugin):
-        check_alternatives(plan)
+        alternative_plans(plan)
         print(described(plan))
 
 
@@ -299,7 +300,7 @@ def run(
     trial_timeout: TrialTimeout = None,
     wait: Wait = 0.0,
     log: Log = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress and no tables.")] = False,
+    quiet: Quiet = False,
     plugin: Plugins = None,
 ) -> None:
     """Run experiments, and write tables, figures and verdicts.
@@ -336,7 +337,7 @@ def power(
     trial_timeout: TrialTimeout = None,
     wait: Wait = 0.0,
     log: Log = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress and no tables.")] = False,
+    quiet: Quiet = False,
     plugin: Plugins = None,
 ) -> None:
     """Run the alternatives, and write what the numbers exclude.
@@ -345,14 +346,11 @@ def power(
     """
     from hident.commands.log_file import logging_to
     from hident.commands.running import bench
-    from hident.engine.alternatives import check_alternatives
 
     plans = _plans(configs, assignments, None, None, plugin, trial_timeout)
     plans = [plan for plan in plans if plan.experiment.alternatives]
     if not plans:
         raise NothingToCompare("no configuration that is named has 'alternatives'")
-    for plan in plans:
-        check_alternatives(plan)
     with logging_to(log), bench(plans, out, store, wait, jobs, plugin or (), quiet) as place:
         place.power(trials)
 

@@ -63,20 +63,22 @@ class Bench:
 
     def power(self, trials: int | None) -> None:
         """Run the alternatives of the plans, and write what the printed numbers make of them."""
+        from hident.engine.alternatives import alternative_plans
         from hident.ledger.mutation import measured, trials_of
-        from hident.reports.output import power_page, write_power
+        from hident.reports.output import write_power
 
-        for plan in self.plans:
+        numbers = [trials_of(plan, trials) for plan in self.plans]
+        # What is wrong with any is said before the first is run.
+        every = [alternative_plans(plan, number) for plan, number in zip(self.plans, numbers, strict=True)]
+        for plan, number, alternatives in zip(self.plans, numbers, every, strict=True):
             with Store(self.store).writing(self.wait) as writer:
-                power = measured(plan, partial(self._alternative, plan, writer), trials)
+                power = measured(plan, alternatives, partial(self._alternative, plan, writer))
             folder = self.out / POWER / plan.name
-            number = trials_of(plan, trials)
             write_power(plan, power, number, folder, self._workers_used())
             if not self.quiet:
+                alone = len(self.plans) == 1
                 print(
-                    power_page(plan, power, number)
-                    if len(self.plans) == 1
-                    else f"{plan.name}: wrote {folder}"
+                    (folder / PAGE).read_text(encoding="utf-8") if alone else f"{plan.name}: wrote {folder}"
                 )
 
     def _alternative(self, plan: Plan, writer: TrialStore, name: str, alternative: Plan) -> Results:
@@ -214,6 +216,8 @@ def accept_power(plans: Iterable[Plan], out: Path, results: Path) -> Iterator[st
     plans = list(plans)
     for plan in plans:
         folder = RunFolder(out / POWER / plan.name)
+        if not folder.finished:
+            raise NothingToCompare(f"{folder.path} holds no finished run: hident power {plan.name}")
         match folder.run():
             case {"experiment": {"hash": known}} if known != without_reports(plan.experiment):
                 raise ConfigError(

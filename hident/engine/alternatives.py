@@ -34,10 +34,10 @@ def alternative_plan(plan: Plan, name: str, trials: int | None = None) -> Plan:
     if statistic not in (None, *_STATISTICS):
         message = f"must be one of {one_of(_STATISTICS)}"
         raise document.error([Problem((*at, STATISTIC), message, statistic)])
-    options = {"trials": min(trials or plan.trials, plan.trials), "seed": plan.seed}
+    options = {"trials": plan.trials if trials is None else trials, "seed": plan.seed}
     patched = _patched(document, name, _paths(document, name, changes))
     try:
-        found = load(patched, (), options)
+        found = load(patched, (), options).changed(trial_timeout=plan.trial_timeout)
     except ConfigError as error:
         said = str(error).replace(f"cases.{AXIS}", "alternatives")
         lines = (f"{line} (alternative '{name}')" for line in said.splitlines())
@@ -86,8 +86,8 @@ def _judged(plan: Plan, unit: Unit) -> Unit | None:
     return replace(unit, metrics=metrics) if metrics else None
 
 
-def check_alternatives(plan: Plan) -> None:
-    """Check that every alternative can be run.
+def alternative_plans(plan: Plan, trials: int | None = None) -> dict[str, Plan]:
+    """The plans of all alternatives by their names.
 
     ConfigError with what is wrong with any, or if there are alternatives to nothing.
     """
@@ -95,14 +95,15 @@ def check_alternatives(plan: Plan) -> None:
     if experiment.alternatives and experiment.published is None:
         message = "needs 'published', the printed numbers that may tell them apart"
         raise plan.document.error([Problem(("alternatives",), message)])
-    said = []
+    found, said = {}, []
     for name in experiment.alternatives:
         try:
-            alternative_plan(plan, name)
+            found[name] = alternative_plan(plan, name, trials)
         except ConfigError as error:
             said += str(error).splitlines()
     if said:
         raise ConfigError("\n".join(dict.fromkeys(said)))
+    return found
 
 
 def _patched(document: Document, name: str, changes: Mapping[str, Any]) -> Document:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from hident.engine.alternatives import alternative_plan
 from hident.engine.experiment import Plan, Published
 from hident.engine.results import Results
 from hident.ledger.joint import combined_p
@@ -13,34 +12,27 @@ from hident.ledger.power import FEWEST, Mutation, NumberPower, VerdictPower
 from hident.ledger.published import Key
 from hident.ledger.verdicts import LEVEL, Verdict, group_p, grouped, is_same_data, stand
 
-TRIALS = FEWEST
-"""Of an alternative by default: its verdicts need fewer than those of the configuration."""
-
 
 def trials_of(plan: Plan, trials: int | None = None) -> int:
     """How many trials each alternative has: of equal data all, else as many as wanted and there are."""
     published = plan.experiment.published
     if published is not None and is_same_data(published, plan.trials):
         return plan.trials
-    return min(trials or TRIALS, plan.trials)
+    return min(trials or FEWEST, plan.trials)
 
 
-def measured(plan: Plan, run: Callable[[str, Plan], Results], trials: int | None = None) -> VerdictPower:
-    """The power of a plan's printed numbers; ``run`` is given the name and the plan of each alternative.
-
-    ConfigError if an alternative cannot be run.
-    """
+def measured(
+    plan: Plan, alternatives: Mapping[str, Plan], run: Callable[[str, Plan], Results]
+) -> VerdictPower:
+    """The power of a plan's printed numbers; ``run`` is given the name and the plan of each alternative."""
     published = plan.experiment.published
     assert published is not None
     digits = is_same_data(published, plan.trials)
-    wanted = trials_of(plan, trials)
     numbers: dict[Key, tuple[str, dict[str, bool]]] = {}
     mutations: list[Mutation] = []
-    # Each is looked at before the first is run.
-    plans = {name: alternative_plan(plan, name, wanted) for name in plan.experiment.alternatives}
     # Of equal data digits decide, and some of ours may differ themselves.
     own = _differing(stand(run("itself", plan))) if digits else frozenset()
-    for name, alternative in plans.items():
+    for name, alternative in alternatives.items():
         verdicts = stand(run(name, alternative))
         tables: dict[str, list[Verdict]] = {}
         for verdict in verdicts:
@@ -49,7 +41,7 @@ def measured(plan: Plan, run: Callable[[str, Plan], Results], trials: int | None
             if verdict.counts:
                 tables.setdefault(verdict.printed.table, []).append(verdict)
         mutations += [_mutation(table, name, found, published, own) for table, found in tables.items()]
-    order = list(plan.experiment.alternatives)
+    order = list(alternatives)
     return VerdictPower(
         {key: NumberPower(*numbers[key]) for key in sorted(numbers)},
         tuple(sorted(mutations, key=lambda one: (one.table, order.index(one.alternative)))),

@@ -56,10 +56,14 @@ class VerdictPower:
     numbers: Mapping[Key, NumberPower]
     mutations: tuple[Mutation, ...]
 
+    def of_table(self, table: str) -> list[Mutation]:
+        """What a table makes of each alternative that it is tried on."""
+        return [one for one in self.mutations if one.table == table]
+
     def score(self, table: str) -> tuple[int, int]:
         """How many alternatives a table rejects, and how many it is tried on."""
-        of_table = [one for one in self.mutations if one.table == table]
-        return sum(one.rejected for one in of_table), len(of_table)
+        found = self.of_table(table)
+        return sum(one.rejected for one in found), len(found)
 
     def files(self) -> dict[str, str]:
         """The texts of its files by their names."""

@@ -11,7 +11,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from fnmatch import fnmatchcase
@@ -23,6 +23,7 @@ from hident.config.load import Problem, content_of, problems_of, read
 from hident.config.spec import Spec
 from hident.config.suggest import did_you_mean
 from hident.engine.experiment import Label, Plan, PublishedCells
+from hident.engine.results import Results, Series
 from hident.errors import ConfigError
 
 _COLUMNS = ("table", "row", "quantity", "printed", "note")
@@ -67,6 +68,15 @@ class Printed:
         assert isinstance(exponent, int)
         return 0.5 * 10.0**exponent
 
+    def lies_in(self, low: float, high: float) -> bool:
+        """Whether it lies in the interval widened by its rounding."""
+        return low - self.slack <= self.value <= high + self.slack
+
+    @property
+    def slack(self) -> float:
+        """Half a unit of the last digit, and a bit for numbers exactly on a rounding boundary."""
+        return self.half_unit * (1 + 1e-9)
+
 
 class Reason(Spec):
     """Why printed numbers differ from ours; each field but ``reason`` may be a shell pattern."""
@@ -87,6 +97,9 @@ class Reason(Spec):
         texts = zip((config, *key), (self.config, self.table, self.row, self.quantity), strict=True)
         # Square brackets and parentheses are common in names, so only * and ? are patterns.
         return all(fnmatchcase(text, pattern.replace("[", "[[]")) for text, pattern in texts)
+
+
+Beside = tuple[PublishedCells, Series, Printed]
 
 
 class _Reasons(Spec):
@@ -149,6 +162,18 @@ def printed_beside(
         near = did_you_mean(_spelled(key), map(_spelled, numbers))
         raise ConfigError(f"published.csv has no number for {_spelled(key)}{near}")
     return numbers[key]
+
+
+def beside_series(results: Results, cells: Iterable[PublishedCells]) -> Iterator[Beside]:
+    """Each of our series with the cell of its correspondence and the printed number that it stands beside.
+
+    ConfigError as of :func:`printed_beside`.
+    """
+    numbers = published_of(results.plan)
+    every = ((cell, *pair) for cell in cells for pair in cell.pairs())
+    for cell, quantity, metric in every:
+        for series in results.select(cell.estimator, metric, cell.at):
+            yield cell, series, printed_beside(cell, quantity, series.unit.labels, numbers)
 
 
 def _spelled(key: Key) -> str:

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -28,7 +28,7 @@ from hident.engine.experiment import Published, PublishedCells, Statistic
 from hident.engine.results import Results, Series
 from hident.ledger.joint import adjusted_p, combined_p, joint_p, replicates
 from hident.ledger.power import VerdictPower, power_of
-from hident.ledger.published import Printed, printed_beside, published_of, reasons_of
+from hident.ledger.published import Printed, beside_series, reasons_of
 from hident.numerics.rounding import is_constant
 
 if TYPE_CHECKING:
@@ -136,9 +136,11 @@ def judge(results: Results) -> tuple[Verdict, ...]:
         return ()
     power, reasons = power_of(results.plan), reasons_of(results.plan)
     verdicts = []
+    unknown = results.plan.experiment.published.paper_trials == "unknown"
     for verdict in (_with_power(one, power) for one in _with_groups(stand(results), results)):
         why = next((r.reason for r in reasons if r.covers(results.plan.name, verdict.printed.key)), "")
-        verdicts.append(replace(verdict, reason=why if verdict.word == "differs" else ""))
+        runs = _fitting_runs(verdict) if unknown else ()
+        verdicts.append(replace(verdict, reason=why if verdict.word == "differs" else "", runs=runs))
     return tuple(verdicts)
 
 
@@ -147,17 +149,13 @@ def stand(results: Results) -> list[Verdict]:
     published = results.plan.experiment.published
     if published is None or results.plan.paper is None:
         return []
-    numbers = published_of(results.plan)
     seen: set[tuple[int, str, str]] = set()
     verdicts = []
-    every = ((cell, *pair) for cell in published.cells for pair in cell.pairs())
-    for cell, quantity, metric in every:
-        for series in results.select(cell.estimator, metric, cell.at):
-            printed = printed_beside(cell, quantity, series.unit.labels, numbers)
-            verdict = _judged(printed, cell, series, published)
-            again = (id(series), cell.statistic, printed.printed)
-            verdicts.append(replace(verdict, mark=_mark(verdict, repeated=again in seen)))
-            seen.add(again)
+    for cell, series, printed in beside_series(results, published.cells):
+        verdict = _judged(printed, cell, series, published)
+        again = (id(series), cell.statistic, printed.printed)
+        verdicts.append(replace(verdict, mark=_mark(verdict, repeated=again in seen)))
+        seen.add(again)
     return verdicts
 
 
@@ -311,16 +309,13 @@ class _Judgement:
     p: float = _NAN
     agreement: float = _NAN
     """How likely the interval of another block of trials holds the printed number."""
-    runs: tuple[int, ...] = field(default=())
 
 
 @np.errstate(all="ignore")
 def _judged(printed: Printed, cell: PublishedCells, series: Series, published: Published) -> Verdict:
     found = _judgement(printed, series, cell.statistic, published)
-    # The slack is for a number that stands exactly on a rounding boundary.
-    slack = printed.half_unit * (1 + 1e-9)
-    word: Word = "agrees" if found.low - slack <= printed.value <= found.high + slack else "differs"
-    if not printed.bound and abs(found.ours - printed.value) <= slack:
+    word: Word = "agrees" if printed.lies_in(found.low, found.high) else "differs"
+    if not printed.bound and abs(found.ours - printed.value) <= printed.slack:
         word = "exact"
     interval = found.interval
     if published.same_data and not is_same_data(published, len(series.values)):
@@ -342,7 +337,6 @@ def _judged(printed: Printed, cell: PublishedCells, series: Series, published: P
         interval,
         p=found.p,
         flips=flips,
-        runs=found.runs,
     )
 
 
@@ -355,9 +349,7 @@ def _judgement(printed: Printed, series: Series, statistic: Statistic, published
         said = "none: the trials are the paper's own data, so digits are equal or differ"
         return _Judgement(ours, ours, ours, said)
     if runs in ("unknown", 1):
-        found = _of_single_trials(printed, valid, runs)
-        fitting = _fitting_runs(printed, found, valid, statistic) if runs == "unknown" else ()
-        return replace(found, ours=ours, runs=fitting)
+        return replace(_of_single_trials(printed, valid, runs), ours=ours)
     return _of_averages(printed, series, statistic, runs)
 
 
@@ -365,12 +357,12 @@ def _of_single_trials(printed: Printed, valid: Array, runs: int | str) -> _Judge
     """Against the distribution of single trials."""
     from scipy.stats import betabinom
 
-    n, slack = len(valid), printed.half_unit * (1 + 1e-9)
-    below = int(np.sum(valid < printed.value - slack))
-    above = int(np.sum(valid > printed.value + slack))
+    n = len(valid)
+    below = int(np.sum(valid < printed.value - printed.slack))
+    above = int(np.sum(valid > printed.value + printed.slack))
     why = "the paper ran one" if runs == 1 else "the paper does not say how many runs it averages"
     share = LEVEL if printed.bound else LEVEL / 2.0
-    low, high = map(float, np.quantile(valid, [share, 1.0 - share]))
+    low, high = central(valid, printed.bound)
     interval = f"central 95 % of single trials: {why}"
     if printed.bound:
         interval = (
@@ -378,10 +370,8 @@ def _of_single_trials(printed: Printed, valid: Array, runs: int | str) -> _Judge
         )
     if share * (n + 1.0) < 1.0 and not is_constant(valid):
         # So few trials have no such quantiles.
-        low, high = float(valid.min()), float(valid.max())
+        low, high = _open(float(valid.min()), float(valid.max()), printed.bound)
         interval = f"the range of {n} single trials, {n - 1} of {n + 1} more of which lie in it: {why}"
-    if printed.bound:
-        low, high = (-math.inf, high) if printed.bound == ">" else (low, math.inf)
     # Another block finds the number outside if too few of its trials lie on one side of it. How many do so is
     # beta-binomial, as the share is known from these trials only, with Jeffreys' prior.
     ties = (n - below - above) / 2.0
@@ -394,22 +384,28 @@ def _of_single_trials(printed: Printed, valid: Array, runs: int | str) -> _Judge
     return _Judgement(_NAN, low, high, interval, p, float(min(max(1.0 - beyond, 0.0), 1.0)))
 
 
-def _fitting_runs(
-    printed: Printed, single: _Judgement, valid: Array, statistic: Statistic
-) -> tuple[int, ...]:
+def central(values: Array, bound: str) -> tuple[float, float]:
+    """The central 95 % of values; for a bound all but the 5 % on the side that speaks against it."""
+    share = LEVEL if bound else LEVEL / 2.0
+    low, high = np.quantile(values, [share, 1.0 - share])
+    return _open(float(low), float(high), bound)
+
+
+def _open(low: float, high: float, bound: str) -> tuple[float, float]:
+    """The interval, open on the side of the claim."""
+    return -math.inf if bound == ">" else low, math.inf if bound == "<" else high
+
+
+def _fitting_runs(verdict: Verdict) -> tuple[int, ...]:
     """The numbers of runs whose statistic may be the printed one."""
-    slack = printed.half_unit * (1 + 1e-9)
+    valid, printed = verdict.series.valid, verdict.printed
     fitting = []
-    for runs in RUNS:
-        low, high = single.low, single.high
+    for runs in RUNS if len(valid) else ():
+        low, high = verdict.low, verdict.high
         if runs > 1:
-            rows = replicates(valid[:_MOST_ROWS, None], [_STATISTICS[statistic]], runs)
-            shares = [LEVEL / 2.0, 1.0 - LEVEL / 2.0]
-            if printed.bound:
-                shares = [0.0, 1.0 - LEVEL] if printed.bound == ">" else [LEVEL, 1.0]
-            low, high = map(float, np.quantile(rows, shares))
-            low, high = (-math.inf if shares[0] == 0.0 else low, math.inf if shares[1] == 1.0 else high)
-        if low - slack <= printed.value <= high + slack:
+            statistic = _STATISTICS[verdict.cell.statistic]
+            low, high = central(replicates(valid[:_MOST_ROWS, None], [statistic], runs), printed.bound)
+        if printed.lies_in(low, high):
             fitting.append(runs)
     return tuple(fitting)
 
@@ -427,8 +423,7 @@ def _of_averages(printed: Printed, series: Series, statistic: Statistic, runs: i
     side = {"<": "-", ">": "+"}.get(printed.bound, "+-")
     source = "a formula" if runs == "exact" else f"{runs} runs"
     interval = f"{statistic} {side} 3 standard errors; the paper: {source}"
-    low = -math.inf if printed.bound == ">" else ours - reach
-    high = math.inf if printed.bound == "<" else ours + reach
+    low, high = _open(ours - reach, ours + reach, printed.bound)
     # How far ours lies on the wrong side, and where it would have to lie.
     above, below = ours - printed.value, printed.value - ours
     away = {"<": above, ">": below}.get(

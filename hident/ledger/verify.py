@@ -121,11 +121,7 @@ def _tables(config: str, rows: Sequence[dict[str, str]], power: VerdictPower | N
         counted = [row for row in of_table if row["mark"] in _COUNTED]
         groups = {row["group"]: _number(row["joint_p"]) for row in of_table}
         rejected, tried = power.score(table) if power else (0, 0)
-        survivors = [
-            one.alternative
-            for one in (power.mutations if power else ())
-            if one.table == table and not one.rejected
-        ]
+        survivors = [one.alternative for one in power.of_table(table) if not one.rejected] if power else []
         found.append(
             TableState(
                 config,

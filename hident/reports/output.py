@@ -120,7 +120,7 @@ def write_power(plan: Plan, power: VerdictPower, trials: int, folder: Path, run:
 
     StoreError if the folder cannot be written.
     """
-    texts = {**power.files(), PAGE: power_page(plan, power, trials)}
+    texts = {**power.files(), PAGE: _power_page(plan, power, trials)}
     with RunFolder(folder).renewed() as new:
         for name, text in texts.items():
             new.write_text(name, text)
@@ -138,7 +138,7 @@ def write_power(plan: Plan, power: VerdictPower, trials: int, folder: Path, run:
         )
 
 
-def power_page(plan: Plan, power: VerdictPower, trials: int) -> str:
+def _power_page(plan: Plan, power: VerdictPower, trials: int) -> str:
     """What each table makes of each alternative, in words."""
     parts = [
         f"# {plan.experiment.title}",
@@ -147,7 +147,6 @@ def power_page(plan: Plan, power: VerdictPower, trials: int) -> str:
     if trials < FEWEST:
         parts.append(f"Fewer than {FEWEST} reject nothing by one number.")
     for table in dict.fromkeys(one.table for one in power.mutations):
-        found = [one for one in power.mutations if one.table == table]
         rejected, tried = power.score(table)
         rows = tuple(
             (
@@ -156,7 +155,7 @@ def power_page(plan: Plan, power: VerdictPower, trials: int) -> str:
                 "-" if math.isnan(one.joint_p) else written(one.joint_p, 2),
                 "rejected" if one.rejected else "survives",
             )
-            for one in found
+            for one in power.of_table(table)
         )
         header = ("alternative", "numbers that exclude it", "joint p", "the table")
         title = f"{table}: mutation score {rejected} of {tried}"

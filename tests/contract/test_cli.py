@@ -557,7 +557,10 @@ def test_alternatives_are_run_accepted_and_change_the_verdicts(done: Lab) -> Non
     shown = done.hident("power", "tiny.yaml", "--jobs", "1", "--trials", "5").stdout
     assert "## T: mutation score" in shown
     assert "| far " in shown
-    done.configure(seed=3)
+    done.configure(title="Other")
+    nothing = done.hident("accept", "--power", "tiny.yaml", "--out", "nowhere", code=4).stderr
+    assert "hident power tiny" in nothing
+    done.configure(title="Tiny", seed=3)
     assert "is not of tiny.yaml as it is now" in done.hident("accept", "--power", "tiny.yaml", code=2).stderr
     done.configure(seed=7)
     assert done.hident("accept", "--power", "tiny.yaml").stdout == "tiny: new\n"

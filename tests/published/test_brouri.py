@@ -1,5 +1,7 @@
 """The printed numbers of Brouri, judged from the accepted trials."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -115,3 +117,13 @@ def test_the_printed_phases_share_out_right_sums_at_random(gains):
         lost = gains[f"arg Go(j{multiple})"].printed.value - second
         assert abs(gained + lost) < 0.01  # two roundings
         assert abs(gained) > 0.009
+
+
+def test_the_sums_of_phases_are_those_of_the_accepted_results():
+    def rows(path):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        return {" ".join(line.split()) for line in lines if re.match(r" *\| *(\d )?arg \S+ \+ ", line)}
+
+    shown = rows(ROOT / "experiments/brouri/README.md")
+    assert len(shown) == 8
+    assert shown <= rows(ROOT / "results/brouri_gains/table.md")

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from hident import plugins
-from hident.engine.alternatives import alternative_plan, check_alternatives
+from hident.engine.alternatives import alternative_plan, alternative_plans
 from hident.engine.experiment import load
 from hident.engine.results import Results, Series
 from hident.engine.runner import run
 from hident.errors import ConfigError
-from hident.ledger.mutation import measured
+from hident.ledger.mutation import measured, trials_of
 from hident.ledger.power import VerdictPower
 from tests.unit.results_maker import CONFIG, PUBLISHED
 
@@ -43,6 +43,8 @@ def test_an_alternative_holds_what_it_changes_and_what_is_judged(tmp_path):
     assert {key for keys in found.keys for key in keys.values()}.isdisjoint(
         key for keys in plan.keys for key in keys.values()
     )
+    limited = plan.changed(trial_timeout=30.0)
+    assert alternative_plan(limited, "pole").trial_timeout == 30.0
     # Nothing is printed beside the second estimator.
     with pytest.raises(ConfigError, match="changes no estimate that stands beside a printed number"):
         alternative_plan(plan, "more")
@@ -83,7 +85,7 @@ def test_another_statistic_is_an_alternative_too(tmp_path):
 )
 def test_what_cannot_be_run_is_said(tmp_path, alternatives, said):
     with pytest.raises(ConfigError) as refused:
-        check_alternatives(plan_with(tmp_path, alternatives))
+        alternative_plans(plan_with(tmp_path, alternatives))
     assert said in str(refused.value)
 
 
@@ -111,7 +113,7 @@ def test_numbers_and_tables_are_held_against_each_alternative(tmp_path):
         asked.append((name, alternative.trials))
         return run(alternative)
 
-    power = measured(plan, results, 30)
+    power = measured(plan, alternative_plans(plan, trials_of(plan, 30)), results)
     assert asked == [("near", 30), ("far", 30)]
     assert {key[1]: number.excluded for key, number in power.numbers.items()} == {
         f"N={n}": {"near": False, "far": True} for n in (10, 100, 1000)
@@ -131,5 +133,5 @@ def test_a_table_is_rejected_where_every_estimate_fails(tmp_path):
         series = tuple(Series(one.unit, one.metric, one.values * np.nan) for one in found.series)
         return Results(alternative, series)
 
-    (mutation,) = measured(plan, failing).mutations
+    (mutation,) = measured(plan, alternative_plans(plan), failing).mutations
     assert mutation.rejected

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from hident.config.spec import component
 from hident.engine.results import Results
-from hident.ledger.published import Printed, printed_beside, published_of
-from hident.ledger.verdicts import Verdict
+from hident.ledger.published import beside_series
+from hident.ledger.verdicts import Verdict, central
 from hident.reports.base import Table
 from hident.reports.tables.distances import SettingsSpec
 from hident.reports.tables.writing import written
@@ -47,30 +45,20 @@ class Agreement(SettingsSpec):
         return Table(self.title, header, tuple(rows), (_NOTE,), data)
 
     def _judged(self, results: Results) -> Iterator[dict[str, object]]:
-        numbers = published_of(results.plan)
-        every = ((cell, *pair) for cell in self.cells for pair in cell.pairs())
-        for cell, quantity, metric in every:
-            for series in results.select(cell.estimator, metric, cell.at):
-                if not series.unit.is_at(self.at) or not len(series.valid):
-                    continue
-                labels = series.unit.labels
-                printed = printed_beside(cell, quantity, labels, numbers)
-                low, high = np.quantile(series.valid, [0.025, 0.975])
-                yield {
-                    "estimator": cell.estimator,
-                    **{axis: str(label) for axis, label in labels.items()},
-                    "quantity": printed.quantity,
-                    "printed": printed.printed,
-                    "median": series.value("median"),
-                    "low": low,
-                    "high": high,
-                    "inside": _holds(printed, float(low), float(high)),
-                }
-
-
-def _holds(printed: Printed, low: float, high: float) -> bool:
-    slack = printed.half_unit * (1 + 1e-9)
-    return low - slack <= printed.value <= high + slack
+        for cell, series, printed in beside_series(results, self.cells):
+            if not series.unit.is_at(self.at) or not len(series.valid):
+                continue
+            low, high = central(series.valid, printed.bound)
+            yield {
+                "estimator": cell.estimator,
+                **{axis: str(label) for axis, label in series.unit.labels.items()},
+                "quantity": printed.quantity,
+                "printed": printed.printed,
+                "median": series.value("median"),
+                "low": low,
+                "high": high,
+                "inside": printed.lies_in(low, high),
+            }
 
 
 def _shown(one: pd.DataFrame, quantity: str) -> str:

@@ -13,7 +13,7 @@ from hident.config.references import AxisName, CaseLabels
 from hident.config.spec import Count, component
 from hident.engine.experiment import Plan, PublishedCells
 from hident.engine.results import Results
-from hident.ledger.published import cells_astray, printed_beside, published_of
+from hident.ledger.published import beside_series, cells_astray
 from hident.ledger.verdicts import Verdict
 from hident.reports.base import Misfit, Table, TableSpec
 
@@ -49,20 +49,15 @@ class _Distances(SettingsSpec):
 
     def distances(self, results: Results) -> dict[tuple[str, ...], float]:
         """The distance by metric, statistic, quantity and labels; '' for an axis that does not matter."""
-        numbers = published_of(results.plan)
         ratios: dict[tuple[str, ...], list[float]] = {}
-        every = ((cell, *pair) for cell in self.cells for pair in cell.pairs())
-        for cell, quantity, metric in every:
-            for series in results.select(cell.estimator, metric, cell.at):
-                labels = series.unit.labels
-                printed = printed_beside(cell, quantity, labels, numbers)
-                if not series.unit.is_at(self.at):
-                    continue
-                setting = tuple(str(labels.get(axis, "")) for axis in self.axes(results))
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    ratio = abs(np.log(np.divide(series.value(cell.statistic), printed.value)))
-                group = (metric, cell.statistic, printed.quantity, *setting)
-                ratios.setdefault(group, []).append(float(ratio))
+        for cell, series, printed in beside_series(results, self.cells):
+            if not series.unit.is_at(self.at):
+                continue
+            setting = tuple(str(series.unit.labels.get(axis, "")) for axis in self.axes(results))
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratio = abs(np.log(np.divide(series.value(cell.statistic), printed.value)))
+            group = (series.metric, cell.statistic, printed.quantity, *setting)
+            ratios.setdefault(group, []).append(float(ratio))
         return {group: float(np.mean(values)) for group, values in ratios.items()}
 
     def table(self, data: pd.DataFrame, shown: pd.DataFrame) -> Table:
