@@ -12,12 +12,14 @@ from functools import partial
 from typing import Any
 
 from hident.config.load import Document, Problem
-from hident.config.suggest import did_you_mean, one_of
+from hident.config.suggest import did_you_mean, one_of, there_is_no
+from hident.engine.cases import sound_axes
 from hident.engine.experiment import Plan, Statistic, Unit, load
 from hident.errors import ConfigError
 
 AXIS = "alternative"
 STATISTIC = "statistic"
+AT = "at"
 _EVERY = "*"
 _REPORTS = ("tables", "figures", "alternatives")
 _STATISTICS: tuple[Statistic, ...] = ("mean", "median", "std")
@@ -30,6 +32,7 @@ def alternative_plan(plan: Plan, name: str, trials: int | None = None) -> Plan:
     """
     document, changes = plan.document, dict(plan.experiment.alternatives[name])
     at = ("alternatives", name)
+    document = _restricted(document, name, changes.pop(AT, {}))
     statistic = changes.pop(STATISTIC, None)
     if statistic not in (None, *_STATISTICS):
         message = f"must be one of {one_of(_STATISTICS)}"
@@ -104,6 +107,39 @@ def alternative_plans(plan: Plan, trials: int | None = None) -> dict[str, Plan]:
     if said:
         raise ConfigError("\n".join(dict.fromkeys(said)))
     return found
+
+
+def _restricted(document: Document, name: str, at: Any) -> Document:
+    """The document with the cases alone that an alternative's ``at`` names.
+
+    They come first on their axes, as the first label of every axis completes the file.
+    """
+    place = ("alternatives", name, AT)
+    if not isinstance(at, Mapping):
+        raise document.error([Problem(place, "must name labels of axes, as 'at' of a table's row does", at)])
+    cases = dict(document.data.get("cases") or {})
+    known = {axis.name: list(map(str, axis.labels)) for axis in sound_axes(document, [])}
+    skip, problems = list(document.data.get("skip") or ()), []
+    for axis, written in at.items():
+        named = [str(label) for label in (written if isinstance(written, list) else [written])]
+        if axis not in known:
+            problems.append(Problem((*place, axis), there_is_no("axis", axis, known)))
+            continue
+        wrong = [label for label in named if label not in known[axis]]
+        problems += [Problem((*place, axis), there_is_no("label", label, known[axis])) for label in wrong]
+        if others := [label for label in known[axis] if label not in named]:
+            skip.append({axis: others})
+        order = sorted(range(len(known[axis])), key=lambda i, axis=axis: known[axis][i] in others)
+        entries = cases[axis]
+        keys = list(entries)
+        cases[axis] = (
+            {keys[i]: entries[keys[i]] for i in order}
+            if isinstance(entries, Mapping)
+            else [entries[i] for i in order]
+        )
+    if problems:
+        raise document.error(problems)
+    return replace(document, data={**document.data, "cases": cases, "skip": skip}) if at else document
 
 
 def _patched(document: Document, name: str, changes: Mapping[str, Any]) -> Document:

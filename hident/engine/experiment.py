@@ -174,8 +174,8 @@ class Experiment(Written, Cases):
     """Plausible mistakes and other readings, each with the values that it sets, by key path as in 'cases'.
 
     'hident power' runs them, and says which printed numbers tell them from this file. In a path,
-    'estimators.*.KEY' is that key of every estimator that holds it, and likewise for metrics. 'statistic'
-    sets that of all numbers.
+    'estimators.*.KEY' is that key of every estimator that holds it, and likewise for metrics. 'at' names
+    the labels of axes to which it is kept. 'statistic' sets that of all numbers.
     """
 
     @field_validator("version", mode="before")

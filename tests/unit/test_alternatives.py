@@ -1,5 +1,6 @@
 """Alternatives: the same experiment with one thing changed."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,23 @@ def test_an_alternative_comes_after_the_cases(tmp_path):
     assert {unit.data.samples for unit in alternative_plan(plan, "n").units} == {500}
 
 
+def test_an_alternative_may_be_of_some_cases_alone(tmp_path):
+    plan = plan_with(tmp_path, "{a: {at: {samples: [100, 1000]}, system.linear.a: [0.9]}}")
+    found: Any = alternative_plan(plan, "a")
+    assert [unit.labels["samples"] for unit in found.units] == [100, 1000]
+    assert {unit.data.system.linear.a for unit in found.units} == {(0.9,)}
+
+
+def test_what_it_sets_need_only_be_there_in_its_cases():
+    plan = load(Path("configs/chen_table3.yaml"), ["alternatives.everywhere={system.k_1: 100}"])
+    found: Any = alternative_plan(plan, "k_1 and k_2 exchanged")
+    assert [(unit.labels["process"], unit.data.system.k_1) for unit in found.units] == [
+        ("example 5, F = 34.3", 100.0)
+    ]
+    with pytest.raises(ConfigError, match=r"system\.k_1: unknown key"):
+        alternative_plan(plan, "everywhere")
+
+
 def test_another_statistic_is_an_alternative_too(tmp_path):
     plan = plan_with(tmp_path, "{median: {statistic: median}, same: {statistic: mean}}")
     found: Any = alternative_plan(plan, "median", 5)
@@ -81,6 +99,12 @@ def test_another_statistic_is_an_alternative_too(tmp_path):
         ("{a: {system.linear.a: [2]}}", "a.yaml:"),
         ("{a: {statistic: mode}}", "must be one of mean, median, std"),
         ("{a: {seed: 2}}", "cannot change 'seed'"),
+        ("{a: {at: 3, samples: 5}}", "alternatives.a.at: must name labels of axes"),
+        (
+            "{a: {at: {sample: 10}, samples: 5}}",
+            "at.sample: there is no axis 'sample'; did you mean 'samples'?",
+        ),
+        ("{a: {at: {samples: [10, 11]}, samples: 5}}", "there is no label '11'"),
     ],
 )
 def test_what_cannot_be_run_is_said(tmp_path, alternatives, said):
