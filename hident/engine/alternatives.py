@@ -127,16 +127,16 @@ def _restricted(document: Document, name: str, at: Any) -> Document:
             continue
         wrong = [label for label in named if label not in known[axis]]
         problems += [Problem((*place, axis), there_is_no("label", label, known[axis])) for label in wrong]
-        if others := [label for label in known[axis] if label not in named]:
-            skip.append({axis: others})
-        order = sorted(range(len(known[axis])), key=lambda i, axis=axis: known[axis][i] in others)
+        is_other = [label not in named for label in known[axis]]
+        if any(is_other):
+            skip.append({axis: [label for label in known[axis] if label not in named]})
+        order = sorted(range(len(is_other)), key=is_other.__getitem__)
         entries = cases[axis]
-        keys = list(entries)
-        cases[axis] = (
-            {keys[i]: entries[keys[i]] for i in order}
-            if isinstance(entries, Mapping)
-            else [entries[i] for i in order]
-        )
+        if isinstance(entries, Mapping):
+            items = list(entries.items())
+            cases[axis] = dict(items[i] for i in order)
+        else:
+            cases[axis] = [entries[i] for i in order]
     if problems:
         raise document.error(problems)
     return replace(document, data={**document.data, "cases": cases, "skip": skip}) if at else document
