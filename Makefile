@@ -69,8 +69,9 @@ torture: $(VENV)/ready ## Kill, damage and starve runs, count what is lost (TORT
 	@$(BIN)/python -m pytest -m long tests/robustness
 	@$(BIN)/python -m tests.torture $(TORTURE)
 
-schema: $(VENV)/ready ## Write docs/config.schema.json anew
+schema: $(VENV)/ready ## Write docs/config.schema.json and docs/reference.md anew
 	@$(BIN)/hident schema > docs/config.schema.json
+	@$(BIN)/hident schema --markdown > docs/reference.md
 
 lock: ## Resolve requirements.lock anew (needs uv)
 	@uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \

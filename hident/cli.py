@@ -475,10 +475,18 @@ def verify(
 
 
 @app.command()
-def schema(plugin: Plugins = None) -> None:
+def schema(
+    as_markdown: Annotated[
+        bool, typer.Option("--markdown", help="The same for readers: every key of every component.")
+    ] = False,
+    plugin: Plugins = None,
+) -> None:
     """Print the JSON Schema of configurations, for editors."""
-    from hident.commands.listing import schema
+    from hident.commands.listing import reference, schema
 
+    if as_markdown:
+        print(reference(plugin or ()), end="")
+        return
     print(schema(plugin or (), unicode=sys.stdout.encoding.lower().startswith("utf")))
 
 
@@ -664,6 +672,26 @@ def convert(
     from hident.commands.models import convert_model
 
     convert_model(model, to, out)
+
+
+@app.command()
+def new(
+    what: Annotated[str, typer.Argument(metavar="study|paper|plugin", help="What to begin.")],
+    name: Annotated[str, typer.Argument(help="Its name: small letters, digits and _.")],
+    into: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Where to; the current folder by default.")
+    ] = Path(),
+) -> None:
+    """Begin a study, the reproduction of a paper, or a plugin.
+
+    Writes commented files that run as they are; no file that is there is touched. A study compares two
+    methods on one system. A paper has its printed numbers, its reasons and a first table. A plugin has a
+    method, a metric, their tests and a configuration.
+    """
+    from hident.commands.starting import start
+
+    for line in start(what, name, into):
+        print(line)
 
 
 @app.command()

@@ -9,6 +9,7 @@ from pathlib import Path
 from hident import plugins
 from hident.commands.plans import described, load_plans
 from hident.commands.showing import print_columns
+from hident.config.reference import markdown
 from hident.config.schema import json_schema
 from hident.config.spec import PLURALS, components
 from hident.config.suggest import did_you_mean, one_of
@@ -79,3 +80,9 @@ def schema(plugin_files: Iterable[Path], *, unicode: bool = True) -> str:
     """The JSON Schema of configurations, in ASCII alone if it is to be."""
     plugins.load(plugin_files)
     return json.dumps(json_schema(Experiment, DATA), indent=2, ensure_ascii=not unicode)
+
+
+def reference(plugin_files: Iterable[Path]) -> str:
+    """All keys of configurations in Markdown, those of every component under its kind."""
+    plugins.load(plugin_files)
+    return markdown(Experiment)

@@ -8,7 +8,12 @@ import hident
 
 ROOT = Path(hident.__file__).parent
 DOCUMENT = ROOT.parent / "docs" / "architecture.md"
-MODULES = sorted(path.relative_to(ROOT) for path in ROOT.rglob("*.py") if not path.stem.startswith("__"))
+MODULES = sorted(
+    path
+    for path in (path.relative_to(ROOT) for path in ROOT.rglob("*.py"))
+    # Those under starters/ are copied, not imported.
+    if not path.stem.startswith("__") and path.parts[0] != "starters"
+)
 
 
 def rows():

@@ -45,6 +45,7 @@ _VERBS = (
     "identify",
     "simulate",
     "convert",
+    "new",
     "doctor",
 )
 _PUBLISHED = {

@@ -48,6 +48,9 @@ ADDED = {
     "hident simulate": "model.json valve.csv --input u",
     "hident show": "model.json",
     "hident convert": "model.json --to python",
+    "hident new": "study tank",
+    "hident new study valve": "",
+    "hident new plugin my_method": "",
 }
 # A decision about results/, which has its own tests, and what takes a shell.
 NOT_RUN = {"hident power", "hident accept", "hident accept <config>", "hident list | head -1"}

@@ -2,6 +2,7 @@
 
 import csv
 import lzma
+import re
 import shlex
 import subprocess
 import sys
@@ -55,12 +56,12 @@ def test_there_is_an_example_of_each():
         line for text in FILES.values() for line in text.splitlines() if line.startswith("@component")
     }
     families = {line.split('"')[1] for line in registered}
-    assert families == set(PLURALS.values()) - {"linear", "streams", "basis", "block"}
+    assert families == set(PLURALS.values())
     assert {"json_lines.py", "timed.py"} <= set(FILES)
 
 
 def test_every_file_is_used():
-    used = FILES["valve.yaml"] + FILES["run_valve.py"] + " ".join(COMMANDS)
+    used = "".join(FILES[name] for name in ("valve.yaml", "parts.yaml", "run_valve.py")) + " ".join(COMMANDS)
     assert [name for name in FILES if name.removesuffix(".py") not in used] == []
 
 
@@ -70,6 +71,19 @@ def test_the_commands_run(said, folder):
     )
     assert "## The worst trials" in (folder / "out/valve/table.md").read_text(encoding="utf-8")
     assert (folder / "out/valve/largest.png").stat().st_size > 0
+
+
+def test_a_basis_and_a_chain_of_blocks_estimate(said, folder):
+    with (folder / "out/parts/table.csv").open(encoding="utf-8") as file:
+        rows = {row["metric"]: row for row in csv.DictReader(file)}
+    assert {row["failed"] for row in rows.values()} == {"0"}
+    assert float(rows["fit"]["mean"]) > 80
+    assert float(rows["mise"]["median"]) < 0.03
+
+
+def test_their_tests_pass(said):
+    passed = int(re.findall(r"(\d+) passed", said["python -m pytest test_valve.py"])[0])
+    assert passed > 20
 
 
 def test_the_estimates_are_good(said, folder):

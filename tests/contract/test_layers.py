@@ -13,7 +13,7 @@ ROOT = Path(hident.__file__).parent
 # by side and do not know each other.
 LAYERS = (
     ("__main__", "pinned"),
-    ("cli", "api"),
+    ("cli", "api", "testing"),
     ("commands",),
     ("doctor",),
     ("progress",),
@@ -38,7 +38,8 @@ LAYERS = (
     ("errors", "stopping"),
 )
 HEIGHT = {room: -level for level, rooms in enumerate(LAYERS) for room in rooms}
-MODULES = sorted(ROOT.rglob("*.py"))
+# Those under starters/ are copied, not imported.
+MODULES = sorted(path for path in ROOT.rglob("*.py") if "starters" not in path.relative_to(ROOT).parts)
 
 
 def room_of(module):

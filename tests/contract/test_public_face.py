@@ -46,7 +46,7 @@ NO_EXAMPLE = {
     "verify",
     "write",
 }
-# What does from Python what a verb does; results/ is changed from the command line alone.
+# What does from Python what a verb does; results/ is changed, and files are begun, by the verbs alone.
 COUNTERPARTS = {
     "list": "list_components",
     "validate": "validate",
@@ -63,6 +63,7 @@ COUNTERPARTS = {
     "simulate": "FittedModel.simulate",
     "convert": "convert",
     "doctor": "examine",
+    "new": None,
 }
 
 
@@ -89,7 +90,7 @@ def test_the_stub_and_the_marker_are_part_of_the_package():
     package = Path(hident.__file__).parent
     assert (package / "py.typed").is_file()
     settings = (package.parent / "pyproject.toml").read_text(encoding="utf-8")
-    assert 'hident = ["py.typed", "*.pyi"]' in settings
+    assert 'hident = ["py.typed", "*.pyi", "starters/**/*"]' in settings
 
 
 def test_an_unknown_name_is_an_attribute_error():
