@@ -14,6 +14,7 @@ from hident.config.spec import Count, Of, Real, component
 from hident.errors import EstimationError, SimulationError
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 from hident.metrics.base import MetricSpec, Scored
+from hident.model_output import has_stable_block
 from hident.numerics.rounding import is_constant
 from hident.records import Estimate, Record, needed
 from hident.signals.base import ExcitationSpec
@@ -209,11 +210,6 @@ class ValidationPercentError(MetricSpec):
 def validation_input(excitation: ExcitationSpec, samples: int, dt: float) -> Array:
     """The input (samples,) of a validation; a random one is the same everywhere."""
     return excitation.sample(samples, dt, np.random.default_rng(0))
-
-
-def has_stable_block(estimate: Estimate) -> bool:
-    """Whether the linear block is stable, if there is one."""
-    return all(block is None or block.is_stable() for block in (estimate.continuous, estimate.linear))
 
 
 def fit_error(predicted: np.ndarray, actual: np.ndarray) -> float:

@@ -6,53 +6,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Annotated, Literal, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from hident.arrays import Array
 from hident.config.spec import Count, Spec
 from hident.errors import EstimationError
 from hident.metrics.base import MetricSpec, Scored
-from hident.metrics.models import has_stable_block
+from hident.model_output import finite_output, simulated
 from hident.numerics.parts import Parts, following, in_each, longer_than
 from hident.records import Estimate, Record, needed
-
-
-def simulated(estimate: Estimate, record: Record) -> Array:
-    """The output (N,) that an estimate gives for a record's input alone, each experiment by itself.
-
-    By the estimate's ``model``, or else by its ``response`` from rest, at the sampling interval of each
-    experiment.
-
-    Raises
-    ------
-    EstimationError
-        If the estimate has neither, or its output grows beyond all numbers.
-
-    Examples
-    --------
-    >>> record = Record([1.0, 2.0, 4.0], [0.0, 0.0, 0.0])
-    >>> simulated(Estimate(response=lambda u, dt: 0.5 * u), record)
-    array([0.5, 1. , 2. ])
-    """
-    if estimate.model is not None:
-        return _finite(estimate.model.simulate(record), "simulated")
-    if (response := estimate.response) is None:
-        raise EstimationError("the estimate has no model and no response to simulate an output with")
-    if not has_stable_block(estimate):
-        raise EstimationError("the linear block is unstable: its simulated output says nothing")
-    dt = 1.0 if record.dt is None else record.dt
-    if not record.parts:
-        return _finite(response(record.u, dt), "simulated")
-    found = [response(record.u[part.samples], part.dt) for part in record.parts.values()]
-    return _finite(np.concatenate(found), "simulated")
-
-
-def _finite(y: Array, how: str) -> Array:
-    if not np.isfinite(y).all():
-        first = int(np.flatnonzero(~np.isfinite(y))[0])
-        raise EstimationError(f"the {how} output is {y[first]} at sample {first} of {len(y)}")
-    return y
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +116,7 @@ def compared(estimate: Estimate, record: Record, *, steps: int = 0, n_init: int 
         If no sample is left, or the model's output is not finite.
     """
     if steps:
-        y_hat = _finite(needed(estimate.model).predict(record, steps), "predicted")
+        y_hat = finite_output(needed(estimate.model).predict(record, steps), "predicted")
     else:
         y_hat = simulated(estimate, record)
     parts = longer_than(record.experiments, n_init)

@@ -25,7 +25,7 @@ LAYERS = (
     ("identification",),
     ("estimators", "metrics"),
     ("signals", "models"),
-    ("systems", "measurements", "fitted_model"),
+    ("systems", "measurements", "fitted_model", "model_output"),
     ("records", "plugins"),
     ("block_chain",),
     ("linear_blocks", "static_functions"),

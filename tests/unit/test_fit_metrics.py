@@ -14,7 +14,8 @@ from hident.errors import ConfigError, EstimationError
 from hident.fitted_model import FittedModel, NoiseModel
 from hident.linear_blocks import TransferFunction
 from hident.metrics.fit import Rmse
-from hident.metrics.outputs import OutputMetric, simulated
+from hident.metrics.outputs import OutputMetric
+from hident.model_output import simulated
 from hident.records import Estimate, Held, Part, Record
 from hident.reports.scoring import scoring
 from tests.unit.plans import planned, refusals, replaced

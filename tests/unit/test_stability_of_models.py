@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
-from hident.metrics.models import SettlingTime, ValidationPercentError, has_stable_block
+from hident.metrics.models import SettlingTime, ValidationPercentError
+from hident.model_output import has_stable_block
 from hident.records import Estimate, Record, Truth
 from hident.signals.excitation import Staircase
 

@@ -16,7 +16,8 @@ from hident.engine.results import Results
 from hident.engine.trial import Data
 from hident.errors import TrialFailed
 from hident.ledger.verdicts import Verdict
-from hident.metrics.models import fit_error, has_stable_block, validation_input
+from hident.metrics.models import fit_error, validation_input
+from hident.model_output import has_stable_block
 from hident.numerics.rounding import is_constant
 from hident.records import Response, needed
 from hident.reports.base import Misfit
