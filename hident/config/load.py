@@ -53,7 +53,10 @@ class Document:
         ConfigError if a key on the way to the last one does not exist; the nearest valid name is given.
         """
         data = dict(self.data)
-        location = _put(data, path, value, place.text)
+        try:
+            location = put(data, path, value)
+        except ConfigError as error:
+            raise ConfigError(f"{place.text}: {error}") from None
         patches = {at: where for at, where in self.patches.items() if at[: len(location)] != location}
         return Document(self.name, data, self.places, {**patches, location: place}, self.complaints)
 
@@ -218,8 +221,11 @@ def _first_key(at: Any, path: list[str]) -> tuple[str | int | None, list[str]]:
     return key, path[1 + (key or "").count(".") :]
 
 
-def _put(data: dict[str, Any], path: str, value: Any, place: str) -> Location:
-    """Set the value at the path, copying only the containers on the way; return its location."""
+def put(data: dict[str, Any], path: str, value: Any) -> Location:
+    """Set the value at the path, copying only the containers on the way; return its location.
+
+    ConfigError if a key on the way to the last one does not exist.
+    """
     at: Any = data
     location: Location = ()
     rest = path.split(".")
@@ -231,7 +237,7 @@ def _put(data: dict[str, Any], path: str, value: Any, place: str) -> Location:
             # A new key; the name of a new axis holds all that is left.
             key, left = (path.partition(".")[2], []) if location == ("cases",) else (rest[0], rest[1:])
             if left or not isinstance(at, dict):
-                raise ConfigError(f"{place}: {path}: {spelled(location) or 'the file'} {_lacks(at, key)}")
+                raise ConfigError(f"{path}: {spelled(location) or 'the file'} {_lacks(at, key)}")
         location = (*location, key)
         if not left:
             at[key] = value

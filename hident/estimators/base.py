@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import ClassVar, Literal, Protocol, TypeGuard, runtime_checkable
 
@@ -12,6 +13,7 @@ from hident.arrays import Array
 from hident.config.spec import Component
 from hident.errors import EstimationError
 from hident.estimators.normalisation import Normalisation
+from hident.model_output import simulated
 from hident.records import Estimate, ModelPart, Record
 
 Experiments = Literal["one", "at_one_interval", "any"]
@@ -22,6 +24,10 @@ _SAME_INTERVAL = 1e-9
 _HUGE = 1e60
 # Values this close, relative to the largest, are one.
 _ROUNDING = 1e-13
+# The most samples of an experiment in which what was before it is taken to show.
+_UNKNOWN_PAST = 200
+# A coefficient of a linear block or of a nonlinearity, such as a_1 or e_-2.
+_COEFFICIENT = re.compile(r"[a-h]_-?\d+")
 
 
 class EstimatorSpec(Component):
@@ -125,6 +131,49 @@ class EstimatorSpec(Component):
     def check_record(self, record: Record) -> None:
         """Raise EstimationError if a record like this one, that of trial 0, is hopeless."""
 
+    def explains(self) -> bool:
+        """Whether :meth:`errors` tells what its estimates leave unexplained of a record."""
+        return not self.provides().isdisjoint({"response", "model"})
+
+    def errors(self, estimate: Estimate, record: Record) -> Array:
+        """What an estimate of this method leaves unexplained of a record's output, (N,).
+
+        By default the output less what the model simulates from the input, each experiment from rest. The
+        first samples of each, 200 or a tenth if that is fewer, are nan: what was before shows in them.
+
+        Raises
+        ------
+        EstimationError
+            If the estimate simulates no output that is finite.
+        """
+        errors = record.y - simulated(estimate, record)
+        for part in record.experiments:
+            errors[part.start : part.start + unknown_past(part.stop - part.start)] = np.nan
+        return errors
+
+    def begun_in_motion(self, shortest: int) -> EstimatorSpec:
+        """The same method for experiments of at least so many samples that begin while all is in motion.
+
+        By default itself. One that takes its experiments to begin in a state of its own leaves first samples
+        out instead.
+        """
+        return self
+
+    def left_out_errors(self, estimate: Estimate, record: Record) -> Array:
+        """:meth:`errors` of the record that was fitted, (N,), each sample estimated without itself.
+
+        Of those that provide ``left_out``.
+        """
+        raise NotImplementedError
+
+    def free_parameters(self) -> int | None:
+        """How many numbers it fits to a record; None if it does not say.
+
+        By default its coefficients of linear blocks and nonlinearities. One that a rule fixes may be among
+        them, the same one for all settings.
+        """
+        return sum(bool(_COEFFICIENT.fullmatch(name)) for name in self.names()) or None
+
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         """Estimate from a record.
 
@@ -177,6 +226,11 @@ def is_batched(estimator: EstimatorSpec) -> TypeGuard[Batched]:
         next(i for i, cls in enumerate(order) if name in vars(cls)) for name in ("fit", "fit_many")
     )
     return fit_many <= fit
+
+
+def unknown_past(samples: int) -> int:
+    """How many of an experiment's first samples are left out where what was before it would show in them."""
+    return min(_UNKNOWN_PAST, samples // 10)
 
 
 def with_errors(names: Sequence[str]) -> list[str]:

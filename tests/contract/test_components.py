@@ -108,6 +108,10 @@ EXAMPLES = [
     Example({"kind": "kernel", "kernel": "window_unit", "bandwidth": BANDWIDTH}, invariances=MEMORYLESS),
     Example({"kind": "kernel", "kernel": "gaussian", "bandwidth": BANDWIDTH}, invariances=MEMORYLESS),
     Example({"kind": "kernel", "kernel": "epanechnikov", "bandwidth": BANDWIDTH, "prefilter": LEAST_SQUARES}),
+    Example({"kind": "kernel", "kernel": "triangular", "bandwidth": "rule_of_thumb"}, invariances=MEMORYLESS),
+    Example(
+        {"kind": "kernel", "kernel": "gaussian", "bandwidth": "plug_in", "prefilter": LEAST_SQUARES},
+    ),
     Example({"kind": "orthogonal", "basis": TRIGONOMETRIC, "terms": TERMS}, invariances=MEMORYLESS),
     Example(
         {
@@ -181,6 +185,23 @@ EXAMPLES = [
         **MOVING,
         **STEPS,
         invariances=frozenset(),
+    ),
+    Example(
+        {
+            "kind": "select",
+            "by": "leave_one_out",
+            "over": {"bandwidth.h0": [0.2, 0.5], "kernel": ["gaussian", "triangular"]},
+            "estimator": {"kind": "kernel", "bandwidth": {"alpha": 0.2}, "prefilter": LEAST_SQUARES},
+        },
+    ),
+    Example(
+        {
+            "kind": "select",
+            "by": "cross_validation",
+            "over": {"weight": ["identity", {"kind": "ar", "a": [0.3]}]},
+            "estimator": {"kind": "two_stage", "lags": 3, "degree": 3, "delay": 0},
+        },
+        linear=FIR,
     ),
     Example({"kind": "voros_hammerstein", "n": 1, "m": 2, "delay": 0, "degree": 3}),
     Example(

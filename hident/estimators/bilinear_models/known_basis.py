@@ -173,6 +173,10 @@ class BilinearSpec(LaggedSpec):
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (unit_length(self.delay, self.lags, "a b"),)
 
+    def free_parameters(self) -> int:
+        # The length of b is one.
+        return len(self.parameters()) - 1
+
     def true_parameters(self, record: Record) -> tuple[Array, Array]:
         """b and a of the simulated system, normalised.
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, assert_never
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal, assert_never
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from hident.arrays import Array, Index
 from hident.config.spec import Real, Spec, component
+from hident.config.suggest import did_you_mean, one_of
 from hident.errors import EstimationError
 from hident.estimators.base import require_finite
+from hident.estimators.nonparametric.bandwidths import RULES, KernelConstants
 from hident.estimators.nonparametric.kernel_sums import (
     GaussianSums,
     PiecewiseKernel,
@@ -20,7 +23,7 @@ from hident.estimators.nonparametric.kernel_sums import (
     Window,
     WindowSums,
 )
-from hident.estimators.nonparametric.prefilter import NonparametricSpec
+from hident.estimators.nonparametric.prefilter import NonparametricSpec, Regression
 from hident.numerics.choices import sorting
 from hident.records import Record
 
@@ -32,6 +35,14 @@ _COMPACT: dict[str, Window | PiecewiseKernel] = {
     "window_unit": Window(1.0, closed=False),
     "triangular": PiecewiseKernel((-1.0, 0.0, 1.0), ((1.0, 1.0), (1.0, -1.0))),
     "epanechnikov": PiecewiseKernel((-1.0, 1.0), ((0.75, 0.0, -0.75),)),
+}
+# Of the kernels over their integrals.
+_CONSTANTS: dict[str, KernelConstants] = {
+    "window_half": KernelConstants(1.0, 1.0 / 12.0),
+    "window_unit": KernelConstants(1.0 / 2.0, 1.0 / 3.0),
+    "triangular": KernelConstants(2.0 / 3.0, 1.0 / 6.0),
+    "epanechnikov": KernelConstants(3.0 / 5.0, 1.0 / 5.0),
+    "gaussian": KernelConstants(0.5 / math.sqrt(math.pi), 1.0),
 }
 _BLOCK = 2**15
 # Where the other samples weigh less than this part of the own one, taking it off the sum would cost digits.
@@ -88,17 +99,17 @@ class KernelRegression:
         self._order = order
         self._u, self._y = u[order], y[order]
         self._y_sums = PrefixSums(self._y)
-        self._bandwidth = bandwidth
+        self.bandwidth = bandwidth
         self._empty = empty
         self._sums = self._kernel_sums(self._y, kernel)
 
     def _kernel_sums(self, y: Array, kernel: KernelName) -> GaussianSums | PiecewiseSums | WindowSums:
         if kernel == "gaussian":
-            return GaussianSums(self._u, y, self._bandwidth)
+            return GaussianSums(self._u, y, self.bandwidth)
         compact = _COMPACT[kernel]
         if isinstance(compact, Window):
-            return WindowSums(self._u, self._y_sums, compact, self._bandwidth)
-        return PiecewiseSums(self._u, y, self._y_sums, compact, self._bandwidth)
+            return WindowSums(self._u, self._y_sums, compact, self.bandwidth)
+        return PiecewiseSums(self._u, y, self._y_sums, compact, self.bandwidth)
 
     def __call__(self, points: Array) -> Array:
         if np.all(points[:-1] <= points[1:]):
@@ -177,7 +188,7 @@ class KernelRegression:
             case "fail":
                 raise EstimationError(
                     f"{len(points)} of {total} points have no sample within the kernel's window "
-                    f"(bandwidth {self._bandwidth:.4g})"
+                    f"(bandwidth {self.bandwidth:.4g})"
                 )
         assert_never(self._empty)
 
@@ -232,17 +243,46 @@ class Kernel(NonparametricSpec):
 
     kernel: KernelName
     """The kernel: window_half is 1 for |x| <= 0.5, window_unit for |x| < 1, with x = (u_k - u)/h."""
-    bandwidth: Bandwidth
-    """The bandwidth."""
+    bandwidth: Bandwidth | Literal["rule_of_thumb", "plug_in"]
+    """The bandwidth, or a rule by which it follows from the data; the estimate then has the value bandwidth.
+
+    rule_of_thumb: of Fan and Gijbels (1996, section 4.2), by one polynomial of degree four; plug_in: of
+    Ruppert, Sheather and Wand (1995). Both are those of a local linear estimate, and take the kernel's own
+    constants. The optimum of this local constant one is the same where the input's density has no slope.
+    """
     empty: Empty = "nearest"
     """What a point without a sample in its window gets; fail: the estimate fails."""
+
+    @field_validator("bandwidth", mode="before")
+    @classmethod
+    def _width_or_rule(cls, value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return Bandwidth.model_validate(value)
+        if isinstance(value, Bandwidth) or (isinstance(value, str) and value in RULES):
+            return value
+        near = did_you_mean(value, RULES) if isinstance(value, str) else ""
+        raise ValueError(f"must be a mapping with 'h0' and 'alpha', or a rule: {one_of(RULES)}{near}")
+
+    def names(self) -> Sequence[str]:
+        return [*super().names(), *(["bandwidth"] if isinstance(self.bandwidth, str) else [])]
+
+    def values_of(self, regression: Regression) -> dict[str, float]:
+        assert isinstance(regression, KernelRegression)
+        return {"bandwidth": regression.bandwidth} if isinstance(self.bandwidth, str) else {}
+
+    def _width(self, samples: Record) -> float:
+        if not isinstance(self.bandwidth, str):
+            return self.bandwidth.width(len(samples))
+        require_finite(samples.y)
+        u, y = samples.u[samples.order], samples.y[samples.order]
+        return RULES[self.bandwidth](u, y, _CONSTANTS[self.kernel])
 
     def regression(self, samples: Record) -> KernelRegression:
         return KernelRegression(
             samples.u,
             samples.y,
             kernel=self.kernel,
-            bandwidth=self.bandwidth.width(len(samples)),
+            bandwidth=self._width(samples),
             empty=self.empty,
             order=samples.order,
         )

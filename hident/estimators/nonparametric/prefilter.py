@@ -162,6 +162,13 @@ class EachLeftOut:
             values += self.known_point.value - there
         return u, values
 
+    def errors(self) -> Array:
+        """The samples less the estimates without them, (N,), in the order of the samples."""
+        order = self.samples.order
+        errors = np.empty(len(order))
+        errors[order] = self.samples.y[order] - self.regression.left_out(order, self.samples.u[order])
+        return errors
+
 
 class _OfDynamics(Of):
     """Pydantic annotation: an estimator that provides a linear block."""
@@ -179,6 +186,18 @@ class _OfDynamics(Of):
                 "config", f"'{spec.kind}' does not estimate a linear block (allowed: {allowed})"
             )
         return spec
+
+
+def _placed(errors: Array, samples: Record, estimate: Estimate) -> Array:
+    """Errors of the samples (N,) as errors of the output, where its record has them; nan elsewhere."""
+    if not np.isfinite(errors).all():
+        raise EstimationError("the regression is not finite at some sample")
+    if not isinstance(samples, FilteredRecord):
+        return errors
+    # y_k = b_0 y^f_k + what is past, so that this is the error of y_k given the past.
+    placed = np.full(len(needed(samples.whole)), np.nan)
+    placed[needed(samples.kept)] = needed(estimate.linear).b[0] * errors
+    return placed
 
 
 def _filtered(
@@ -212,15 +231,46 @@ class NonparametricSpec(EstimatorSpec):
         """The estimated regression of the output on the input."""
         raise NotImplementedError
 
+    def values_of(self, regression: Regression) -> dict[str, float]:
+        """What the regression adds to the values of the prefilter."""
+        return {}
+
     def names(self) -> Sequence[str]:
         return self.prefilter.names() if self.prefilter else ()
 
     def provides(self) -> frozenset[str]:
         more = self.prefilter.provides() | {"unfiltered"} if self.prefilter else frozenset()
-        return more | {"nonlinearity", "left_out"}
+        own = frozenset(f"value {name}" for name in self.names())
+        return more | own | {"nonlinearity", "left_out"}
 
     def fewest_samples(self) -> int:
         return self.prefilter.fewest_samples() if self.prefilter else 1
+
+    def explains(self) -> bool:
+        return True
+
+    def errors(self, estimate: Estimate, record: Record) -> Array:
+        """What the regression leaves of the filtered output, times b_0: the errors of one-step prediction.
+
+        The samples that the filter drops are nan.
+        """
+        regression = estimate.nonlinearity
+        if isinstance(regression, Anchored):
+            regression = regression.regression
+        samples = self._regressed(estimate, record)
+        return _placed(samples.y - needed(regression)(samples.u), samples, estimate)
+
+    def left_out_errors(self, estimate: Estimate, record: Record) -> Array:
+        without = needed(estimate.left_out)
+        assert isinstance(without, EachLeftOut)
+        return _placed(without.errors(), without.samples, estimate)
+
+    def _regressed(self, estimate: Estimate, record: Record) -> Record:
+        """What the regression was, or would be, estimated from."""
+        return record if self.prefilter is None else FilteredRecord.of(record, needed(estimate.linear))
+
+    def free_parameters(self) -> None:
+        return None
 
     def normalisations(self) -> tuple[Normalisation, ...] | None:
         if self.prefilter is not None:
@@ -241,7 +291,12 @@ class NonparametricSpec(EstimatorSpec):
             dynamics = replace(dynamics, unfiltered=partial(plain.fit, record))
         regression = self.regression(samples)
         left_out = EachLeftOut(regression, samples, self.known_point)
-        return replace(dynamics, nonlinearity=self._anchored(regression), left_out=left_out)
+        return replace(
+            dynamics,
+            nonlinearity=self._anchored(regression),
+            left_out=left_out,
+            values={**dynamics.values, **self.values_of(regression)},
+        )
 
     @cached_property
     def _shared(self) -> Hashable:

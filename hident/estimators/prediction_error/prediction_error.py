@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, field_validator
 
 from hident.config.spec import Count, NonEmpty, Of, Spec, component
 from hident.errors import EstimationError
-from hident.estimators.base import AtOneInterval, require_usable
+from hident.estimators.base import AtOneInterval, require_usable, unknown_past
 from hident.estimators.normalisation import Normalisation, unit_static_gain
 from hident.estimators.prediction_error.block_specs import BlockSpec, LinearBlock, StaticSpec
 from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain
@@ -90,6 +90,14 @@ class PredictionError(AtOneInterval):
             if not block.held:
                 count += block.fewest_numbers()
         return count
+
+    def begun_in_motion(self, shortest: int) -> Self:
+        return self.model_copy(update={"n_init": max(self.n_init, unknown_past(shortest))})
+
+    def free_parameters(self) -> int:
+        # The gain of each linear block is one with a static function, unless a block is held.
+        gains = len(self._places()) if len(self._places()) < len(self.blocks) else 0
+        return self._count() - (0 if any(block.held for block in self.blocks) else gains)
 
     def _places(self) -> dict[int, str]:
         """What the names of each block's values begin with: nothing where there is one of its sort."""

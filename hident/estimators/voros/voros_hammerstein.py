@@ -214,6 +214,10 @@ class VorosSpec(AtOneInterval):
             *(f"{segment}_{j}" for segment in "fg" for j in range(1, self.degree + 1)),
         ]
 
+    def free_parameters(self) -> int:
+        # A rule gives one of them.
+        return len(self.parameters()) - 1
+
     def names(self) -> list[str]:
         return [*self.parameters(), "iterations", "converged"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -13,6 +14,7 @@ from hident.config.spec import Count, NonEmpty, component
 from hident.engine.replay import OneTrial
 from hident.engine.results import Results
 from hident.estimators.moving_horizon.searches import PartitionSearch, StructureSearch
+from hident.estimators.selection.select import Selection
 from hident.ledger.verdicts import Verdict
 from hident.reports.one_trial.base import NOTE, OneTrialFigure, Shown, say_failed
 from hident.reports.style import LINES, Look, few_log_ticks, legend_above, panel_grid
@@ -22,6 +24,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _WORST = 10.0
+# A setting whose values span this factor has a logarithmic axis.
+_WIDE = 8.0
+# As many values are written at their places.
+_MOST_TICKS = 8
 # Shares of a panel's width and height that a contour's number reaches.
 _EDGE = 0.06
 _RING: Look = {
@@ -41,22 +47,24 @@ _SHARES = (0.03, 0.08, 0.16, 0.28, 0.44, 0.62, 0.8)
 class SearchPanel(Shown):
     """The search behind one estimate."""
 
-    show: Literal["structure", "partition"]
-    """The search: over the structure (n, m) or over the partition points."""
+    show: Literal["structure", "partition", "selection"]
+    """The search: over the structure (n, m), over the partition points, or among the candidates of select."""
     x_label: str | None = None
-    """Label of the abscissa: n, or the lower partition point."""
+    """Label of the abscissa: n, the lower partition point, or a setting."""
     y_label: str | None = None
-    """Label of the ordinate: the relative output error, or the upper partition point."""
+    """Label of the ordinate: the relative output error, the upper partition point, or the criterion."""
 
 
 @component("figure", "search", source="Chen, Hwang, Chang 2009, figures 3 and 6")
 class Search(OneTrialFigure):
-    """The structure searches and partition searches of one trial, one panel each.
+    """The searches of one trial, one panel each.
 
     A structure panel shows the error of every candidate against n, one line for each m (of several delays
     the best), and a ring around the chosen one. A partition panel shows contours of the criterion relative
-    to its least value on the grid, and a cross at the best pair after the refinements. What is chosen stands
-    in numbers under the title, where it covers nothing.
+    to its least value on the grid, and a cross at the best pair after the refinements. A panel of a selection
+    shows the criterion against the setting with the most values, one line for each choice of the others; a
+    candidate that failed leaves a gap. What is chosen stands in numbers under the title, where it covers
+    nothing.
     """
 
     panels: NonEmpty[SearchPanel]
@@ -78,6 +86,11 @@ class Search(OneTrialFigure):
                 axes.set_title(f"{panel.text}\n{chosen}")
                 axes.set_xlabel(panel.x_label or "n")
                 axes.set_ylabel(panel.y_label or "output error / std of output")
+            elif panel.show == "selection":
+                selection: Selection = realised.detail("selection")
+                axes.set_title(f"{panel.text}\n{draw_selection(axes, selection)}")
+                axes.set_xlabel(panel.x_label or abscissa_of(selection))
+                axes.set_ylabel(panel.y_label or selection.by.replace("_", "-"))
             else:
                 best = draw_partition(axes, realised.detail("partition"))
                 axes.set_title(f"{panel.text}\n{best}")
@@ -104,6 +117,48 @@ def draw_structure(axes: Axes, search: StructureSearch) -> str:
     several = f", d = {delay:g}" if len(np.unique(search.delay)) > 1 else ""
     axes.plot(n, search.error[search.chosen], label="chosen", **_RING)
     return f"chosen: n = {n}, m = {m}{several}"
+
+
+def abscissa_of(selection: Selection) -> str:
+    """The setting with the most values, the first of several, numbers before all else."""
+    return max(
+        selection.over,
+        key=lambda path: (_is_numeric(selection.over[path]), len(selection.over[path])),
+    )
+
+
+def draw_selection(axes: Axes, selection: Selection) -> str:
+    """The criterion against one setting, a line for each choice of the others; returns what was chosen."""
+    along = abscissa_of(selection)
+    places = list(itertools.product(*(range(len(values)) for values in selection.over.values())))
+    others = [path for path in selection.over if path != along]
+    values = selection.over[along]
+    x = np.array(values, dtype=float) if _is_numeric(values) else np.arange(1.0, len(values) + 1.0)
+    lines: dict[tuple[int, ...], Array] = {}
+    for at, criterion in zip(places, selection.criterion, strict=True):
+        place = dict(zip(selection.over, at, strict=True))
+        line = lines.setdefault(tuple(place[path] for path in others), np.full(len(values), np.nan))
+        line[place[along]] = criterion
+    order = np.argsort(x, kind="stable")
+    for i, (at, line) in enumerate(lines.items()):
+        label = ", ".join(f"{path} {selection.word(path, j)}" for path, j in zip(others, at, strict=True))
+        axes.plot(x[order], line[order], label=label or None, **LINES[i % len(LINES)])
+    if np.nanmin(selection.criterion) > 0.0:
+        axes.set_yscale("log")
+        few_log_ticks(axes.yaxis)
+    if _is_numeric(values) and x.min() > 0.0 and x.max() / x.min() >= _WIDE:
+        axes.set_xscale("log")
+        few_log_ticks(axes.xaxis)
+    if len(values) <= _MOST_TICKS or not _is_numeric(values):
+        axes.set_xticks(x, [selection.word(along, i) for i in range(len(values))])
+        axes.set_xticks([], minor=True)
+    best = dict(zip(selection.over, places[selection.chosen], strict=True))
+    axes.plot(x[best[along]], selection.criterion[selection.chosen], label="chosen", **_RING)
+    return "chosen: " + ", ".join(f"{path} {selection.word(path, i)}" for path, i in best.items())
+
+
+def _is_numeric(values: Sequence[Any]) -> bool:
+    return all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
 
 
 def draw_partition(axes: Axes, search: PartitionSearch) -> str:

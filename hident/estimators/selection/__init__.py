@@ -1,0 +1,1 @@
+"""Settings of any estimator, chosen by the data."""

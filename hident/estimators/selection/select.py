@@ -1,0 +1,378 @@
+"""The estimator that chooses settings of another one by the data."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, GetJsonSchemaHandler, model_validator
+from pydantic_core import CoreSchema, PydanticCustomError
+
+from hident.arrays import Array
+from hident.config.spec import Count, NonEmpty, Of, Real, component, components
+from hident.config.suggest import one_of
+from hident.errors import EstimationError, TrialFailed
+from hident.estimators.base import EstimatorSpec, Experiments
+from hident.estimators.normalisation import Normalisation
+from hident.estimators.selection.candidates import (
+    along,
+    as_numbers,
+    as_written,
+    axes_of,
+    candidates_of,
+    is_number,
+    value_at,
+    word,
+)
+from hident.estimators.selection.folds import Fold, at_the_end, in_blocks
+from hident.numerics.choices import ROUNDING, first_least
+from hident.records import Estimate, Record
+
+Criterion = Literal["cross_validation", "leave_one_out", "holdout", "aic", "bic", "fpe"]
+_FAILURES = (TrialFailed, np.linalg.LinAlgError, ArithmeticError)
+# From the one that takes the fewest records to the one that takes all.
+_TAKEN: tuple[Experiments, ...] = ("one", "at_one_interval", "any")
+_OF = {"folds": ("cross_validation",), "share": ("holdout",), "gap": ("cross_validation", "holdout")}
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """How the settings were chosen.
+
+    ``over`` holds the values of each setting, ``criterion`` (C,) that of each candidate: all combinations of
+    the values, the last setting varying the fastest. Those that failed have nan, and their reasons stand in
+    ``failures``. ``chosen`` is the place of the one that was taken, ``estimator`` itself.
+    """
+
+    by: Criterion
+    over: Mapping[str, tuple[Any, ...]]
+    criterion: Array
+    failures: Mapping[int, str]
+    chosen: int
+    estimator: EstimatorSpec
+
+    def word(self, path: str, place: int) -> str:
+        """A value of a setting as a label shows it."""
+        value = self.over[path][place]
+        return f"{value:.4g}" if is_number(value) else word(value)
+
+
+class _PartlyGiven(Of):
+    """Pydantic annotation: a component whose fields may be given elsewhere."""
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        return {"type": "object", "required": ["kind"]}
+
+
+@component("estimator", "select")
+class Select(EstimatorSpec):
+    """Another estimator, with the settings that a criterion on the record prefers.
+
+    The candidates are all combinations of the values in ``over``. The one with the least criterion is taken;
+    of those that tie within rounding, the first (of the settings in alphabetical order, the last varies the
+    fastest), so the simplest value stands first. A candidate that fails is left out.
+
+    ``cross_validation``: the mean squared error on blocks in time, each held out in turn; ``holdout``: that
+    on the last part of each experiment; ``leave_one_out``, of nonparametric regression: that of the samples,
+    each without its own, where what undid the linear block stays. With the mean squared error V on the record
+    and the number d of free parameters, ``aic`` is N ln V + 2 d, ``bic`` N ln V + d ln N and ``fpe``
+    V (1 + d/N)/(1 - d/N).
+
+    The error is that of the output simulated from the input of the whole experiment, so that a block that is
+    held out begins in the state that the input has brought the model to. Of nonparametric regression it is
+    that of what is regressed: of one-step prediction. What an experiment has after a block is fitted as an
+    experiment of its own: no lagged row reaches across. A sample of which one candidate says nothing, such as
+    the first that its filter drops, counts for none.
+
+    The estimate is that of the chosen candidate on the whole record. Its values also hold ``selected`` and
+    the key path, as in ``selected bandwidth.h0``: the chosen number, or the place in the list, from 1, of
+    what is no number. ``details["selection"]`` holds the criterion of every candidate.
+
+    References: Stone 1974 (cross-validation); Akaike 1970 (fpe), 1974 (aic); Schwarz 1978 (bic); Burman,
+    Chow, Nolan 1994 (gaps for dependent data).
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Fir(b=[1, 0.5]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> kernel = {"kind": "kernel", "kernel": "gaussian", "bandwidth": {"alpha": 0}}
+    >>> chosen = hi.Select(by="leave_one_out", over={"bandwidth.h0": [0.01, 0.1, 1]}, estimator=kernel)
+    >>> hi.fit(chosen, record).values
+    {'selected bandwidth.h0': 0.1}
+    """
+
+    by: Criterion
+    """What decides."""
+    over: dict[str, NonEmpty[Any]]
+    """Key paths in the estimator, each with the values to choose from; 1..6 stands for 1 to 6."""
+    estimator: Annotated[EstimatorSpec, _PartlyGiven("estimator")]
+    """The estimator; the keys that 'over' names may be left out."""
+    folds: Annotated[Count, Field(ge=2)] = 5
+    """Number of blocks of each experiment, of cross_validation."""
+    share: Annotated[Real, Field(gt=0, lt=1)] = 0.25
+    """Share of each experiment that is held out, at its end, of holdout."""
+    gap: Annotated[Count, Field(ge=0)] = 0
+    """Samples beside a block that are not fitted either: as many as the noise remembers."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _each_candidate(cls, data: Any) -> Any:
+        """The data with sound values, and the estimator of the first candidate."""
+        if not isinstance(data, Mapping) or not isinstance(data.get("over"), Mapping):
+            return data
+        written = as_written(data.get("estimator"))
+        if written is None or written.get("kind") not in components("estimator"):
+            return data
+        axes = axes_of(data["over"])
+        candidates = candidates_of(written, axes, data["over"])
+        over = {path: [value_at(candidates[places], path) for places in along(axes, path)] for path in axes}
+        return {**data, "over": over, "estimator": next(iter(candidates.values()))}
+
+    @model_validator(mode="after")
+    def _can_be_judged(self) -> Self:
+        for name, criteria in _OF.items():
+            if name in self.model_fields_set and self.by not in criteria:
+                raise ValueError(f"'{name}' is of {one_of(criteria)}: leave it out, or set 'by'")
+        for candidate in self.candidates:
+            if lacks := self._lacks(candidate):
+                raise PydanticCustomError("config", f"'{self.by}' {lacks}")
+        return self
+
+    def _lacks(self, candidate: EstimatorSpec) -> str:
+        """What a candidate lacks for the criterion; empty if nothing."""
+        named = f"which '{candidate.kind}'"
+        if self.by == "leave_one_out":
+            lacks = "left_out" not in candidate.provides()
+            said = f"needs each sample's estimate without it, {named} does not give: take cross_validation"
+            return said * lacks
+        if not candidate.explains():
+            return f"needs what is left of the output, {named} does not tell: it gives no response"
+        if self._is_penalised() and candidate.free_parameters() is None:
+            return f"needs the number of free parameters, {named} does not say: take cross_validation"
+        if self.by == "cross_validation" and candidate.takes_experiments() == "one":
+            return f"makes several experiments of one, {named} does not take: take holdout"
+        return ""
+
+    @cached_property
+    def candidates(self) -> tuple[EstimatorSpec, ...]:
+        """All combinations of the values, the last setting by name varying the fastest."""
+        written = as_written(self.estimator)
+        assert written is not None
+        return tuple(candidates_of(written, axes_of(self.over), self.over).values())
+
+    @cached_property
+    def _selected(self) -> tuple[dict[str, float], ...]:
+        """For each candidate its values of the settings, as numbers by the names of the estimate's."""
+        paths = sorted(self.over)
+        numbers = [as_numbers(self.over[path]) for path in paths]
+        names = [f"selected {path}" for path in paths]
+        return tuple(dict(zip(names, chosen, strict=True)) for chosen in itertools.product(*numbers))
+
+    def names(self) -> list[str]:
+        common = set.intersection(*(set(candidate.names()) for candidate in self.candidates))
+        own = [name for name in self.candidates[0].names() if name in common]
+        return [*own, *self._selected[0]]
+
+    def provides(self) -> frozenset[str]:
+        common = frozenset.intersection(*(candidate.provides() for candidate in self.candidates))
+        return common | {f"value {name}" for name in self._selected[0]}
+
+    def fewest_samples(self) -> int:
+        most = max(candidate.fewest_samples() for candidate in self.candidates)
+        if self.by == "cross_validation":
+            return math.ceil((most + 2 * self.gap) * self.folds / (self.folds - 1))
+        if self.by == "holdout":
+            return max(math.ceil((most + self.gap) / (1.0 - self.share)), 2)
+        return most
+
+    def takes_experiments(self) -> Experiments:
+        return min((candidate.takes_experiments() for candidate in self.candidates), key=_TAKEN.index)
+
+    def draws(self) -> bool:
+        return any(candidate.draws() for candidate in self.candidates)
+
+    def needs_of_truth(self) -> frozenset[str]:
+        return frozenset().union(*(candidate.needs_of_truth() for candidate in self.candidates))
+
+    def normalisations(self) -> tuple[Normalisation, ...] | None:
+        rules: dict[tuple[str, frozenset[str]], Normalisation] = {}
+        for candidate in self.candidates:
+            if (own := candidate.normalisations()) is None:
+                return None
+            # Of candidates of several lengths the last, as a rule the longest, tells of a system.
+            rules |= {(rule.rule, rule.parts): rule for rule in own}
+        return tuple(rules.values())
+
+    def discrete_step(self, dt: float | None) -> float:
+        return self.candidates[0].discrete_step(dt)
+
+    def check(self, n: int, dt: float | None) -> None:
+        steps = {candidate.discrete_step(dt) for candidate in self.candidates}
+        if "linear" in self.provides() and len(steps) > 1:
+            raise ValueError(
+                f"its candidates have blocks at several sampling intervals: {one_of(map(str, sorted(steps)))}"
+            )
+        for i, candidate in enumerate(self.candidates):
+            try:
+                candidate.check(n, dt)
+            except ValueError as error:
+                raise ValueError(f"with {self._words(i)}: {error}") from None
+
+    def check_record(self, record: Record) -> None:
+        hopeless: dict[int, str] = {}
+        for i, candidate in enumerate(self.candidates):
+            try:
+                candidate.check_record(record)
+            except EstimationError as error:
+                hopeless[i] = str(error)
+        if len(hopeless) == len(self.candidates):
+            raise EstimationError(self._none(hopeless))
+
+    def explains(self) -> bool:
+        return all(candidate.explains() for candidate in self.candidates)
+
+    def errors(self, estimate: Estimate, record: Record) -> Array:
+        return _selection(estimate).estimator.errors(estimate, record)
+
+    def left_out_errors(self, estimate: Estimate, record: Record) -> Array:
+        return _selection(estimate).estimator.left_out_errors(estimate, record)
+
+    def free_parameters(self) -> None:
+        return None
+
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
+        self.require_experiments(record)
+        judge = self._judge(record, rng)
+        errors: dict[int, Array] = {}
+        whole: dict[int, Estimate] = {}
+        failures: dict[int, str] = {}
+        for i, candidate in enumerate(self.candidates):
+            try:
+                errors[i], fitted = judge(candidate)
+            except _FAILURES as error:
+                failures[i] = str(error) or "singular"
+            else:
+                whole |= {i: fitted} if fitted is not None else {}
+        if not errors:
+            raise EstimationError(self._none(failures))
+        criterion = self._criterion(errors, record)
+        # Errors are rounded to a part of the output, their squares to the square of that; where there is a
+        # penalty, that is seen to before.
+        chosen = first_least(criterion, scale=0.0 if self._is_penalised() else ROUNDING * _size(record))
+        estimator = self.candidates[chosen]
+        estimate = whole[chosen] if chosen in whole else estimator.fit(record, rng)
+        over = {path: tuple(self.over[path]) for path in sorted(self.over)}
+        selection = Selection(self.by, over, criterion, failures, chosen, estimator)
+        return replace(
+            estimate,
+            values={**estimate.values, **self._selected[chosen]},
+            details={**estimate.details, "selection": selection},
+        )
+
+    def _judge(
+        self, record: Record, rng: np.random.Generator | None
+    ) -> Callable[[EstimatorSpec], tuple[Array, Estimate | None]]:
+        """What gives a candidate's errors (N,), and its estimate from the whole record if that was made."""
+        if self.by not in ("cross_validation", "holdout"):
+
+            def within(candidate: EstimatorSpec) -> tuple[Array, Estimate]:
+                estimate = candidate.fit(record, rng)
+                left_out = self.by == "leave_one_out"
+                errors = candidate.left_out_errors if left_out else candidate.errors
+                return errors(estimate, record), estimate
+
+            return within
+        folds = record.once(("folds", self.by, self.folds, self.share, self.gap), lambda: self._folds(record))
+
+        def held_out(candidate: EstimatorSpec) -> tuple[Array, None]:
+            errors = np.full(len(record), np.nan)
+            for fold in folds:
+                fitted = candidate
+                if self.by == "cross_validation":
+                    lengths = [part.stop - part.start for part in fold.training.experiments]
+                    fitted = candidate.begun_in_motion(min(lengths))
+                if len(fold.training) < fitted.fewest_samples():
+                    raise EstimationError(
+                        f"{len(fold.training)} samples are left to fit, and {candidate.kind} needs at least "
+                        f"{fitted.fewest_samples()}: use a longer record"
+                    )
+                estimate = fitted.fit(fold.training, rng)
+                errors[fold.held_out] = candidate.errors(estimate, record)[fold.held_out]
+            return errors, None
+
+        return held_out
+
+    def _folds(self, record: Record) -> list[Fold]:
+        if self.by == "holdout":
+            return [at_the_end(record, self.share, self.gap)]
+        return in_blocks(record, self.folds, self.gap)
+
+    def _is_penalised(self) -> bool:
+        return self.by in ("aic", "bic", "fpe")
+
+    def _criterion(self, errors: Mapping[int, Array], record: Record) -> Array:
+        """The criterion of each candidate (C,), on the samples that all have an error for; else nan."""
+        common = np.logical_and.reduce([np.isfinite(one) for one in errors.values()])
+        count = int(np.count_nonzero(common))
+        if not count:
+            raise EstimationError(
+                "no sample is left on which all candidates can be compared: use a longer record"
+            )
+        found = np.full(len(self.candidates), np.nan)
+        for i, one in errors.items():
+            found[i] = self._penalised(float(np.mean(one[common] ** 2)), count, self.candidates[i], record)
+        if not np.isfinite(found).any():
+            raise EstimationError(f"'{self.by}' is finite for no candidate: {count} samples are too few")
+        return found
+
+    def _penalised(self, mse: float, count: int, candidate: EstimatorSpec, record: Record) -> float:
+        if not self._is_penalised():
+            return mse
+        d = candidate.free_parameters()
+        assert d is not None
+        # No fit is better than rounding.
+        mse = max(mse, ROUNDING**2 * _size(record), np.finfo(float).tiny)
+        match self.by:
+            case "aic":
+                return count * math.log(mse) + 2 * d
+            case "bic":
+                return count * math.log(mse) + d * math.log(count)
+            case _:
+                return mse * (1 + d / count) / (1 - d / count) if d < count else math.nan
+
+    def _words(self, i: int) -> str:
+        """The settings of a candidate."""
+        paths = sorted(self.over)
+        chosen = [*itertools.product(*(self.over[path] for path in paths))][i]
+        return ", ".join(f"{path} {word(value)}" for path, value in zip(paths, chosen, strict=True))
+
+    def _none(self, failures: Mapping[int, str]) -> str:
+        """What to say where every candidate failed."""
+        reasons: dict[str, list[int]] = {}
+        for i, reason in failures.items():
+            reasons.setdefault(reason, []).append(i)
+        if len(reasons) == 1:
+            return f"all {len(failures)} candidates fail: {next(iter(reasons))}"
+        said = (
+            f"{reason} ({self._words(where[0])})" for reason, where in itertools.islice(reasons.items(), 3)
+        )
+        return f"all {len(failures)} candidates fail, among others: {'; '.join(said)}"
+
+
+def _selection(estimate: Estimate) -> Selection:
+    found = estimate.details["selection"]
+    assert isinstance(found, Selection)
+    return found
+
+
+def _size(record: Record) -> float:
+    """The mean square of the output."""
+    return float(np.mean(record.y**2))
