@@ -523,15 +523,23 @@ def compare(
 
 
 def verify(
-    folder: str | Path = "out", experiments: str | Path = "experiments", results: str | Path = "results"
+    folder: str | Path = "out",
+    experiments: str | Path = "experiments",
+    results: str | Path = "results",
+    configs: str | Path | None = None,
 ) -> Verification:
     """The state of the ledger: how each table's numbers came out, and whether each difference has its reason.
 
-    What is known of alternatives is what is accepted in ``results``.
+    What is known of alternatives is what is accepted in ``results``. With ``configs`` each run must be that
+    of the file of its name there.
     """
     from hident.ledger.verify import verify as verify_folder
 
-    return verify_folder(Path(folder), Path(experiments), Path(results))
+    if configs is not None:
+        plugins.load()
+    return verify_folder(
+        Path(folder), Path(experiments), Path(results), None if configs is None else Path(configs)
+    )
 
 
 def schema() -> dict[str, Any]:

@@ -455,8 +455,15 @@ def verify(
     ] = None,
     experiments: Annotated[Path, typer.Option(help="Folder of the papers' ledgers.")] = Path("experiments"),
     complete: Annotated[
-        bool, typer.Option("--complete", help="Every printed number of a paper must be judged.")
+        bool,
+        typer.Option(
+            "--complete",
+            help="Every printed number of a paper must be judged, by the configurations as they are now.",
+        ),
     ] = False,
+    configs: Annotated[Path, typer.Option(help="Folder of the configurations, for --complete.")] = Path(
+        "configs"
+    ),
     results: Annotated[
         Path, typer.Option(help="Folder of the accepted results, for what is known of alternatives.")
     ] = _RESULTS,
@@ -471,7 +478,9 @@ def verify(
 
     if folder is None:
         folder = _OUT if _OUT.is_dir() else _RESULTS
-    raise typer.Exit(print_verification(folder, experiments, results, complete=complete, as_json=as_json))
+    raise typer.Exit(
+        print_verification(folder, experiments, results, configs, complete=complete, as_json=as_json)
+    )
 
 
 @app.command()

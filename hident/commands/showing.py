@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hident import plugins
 from hident.config.suggest import one_of
 from hident.engine.experiment import Plan
 from hident.engine.runner import complete, stored
@@ -64,31 +65,38 @@ def print_comparison(ours: Path, reference: Path, rtol: float, *, complete: bool
 
 
 def print_verification(
-    folder: Path, experiments: Path, results: Path, *, complete: bool, as_json: bool
+    folder: Path, experiments: Path, results: Path, configs: Path, *, complete: bool, as_json: bool
 ) -> Exit:
     """Print the state of the ledger."""
     from hident.ledger.verify import verify
 
-    found = verify(folder, experiments, results)
-    owed = bool(found.unexplained or found.idle or found.stale) or (complete and bool(found.unjudged))
-    code = Exit.DIFFERS if owed else Exit.FINE
+    if complete:
+        plugins.load()
+    found = verify(folder, experiments, results, configs if complete else None)
     lists = {
         "differs without a reason": found.unexplained,
-        "printed, but not judged here": found.unjudged,
         "reasons that cover no difference": found.idle,
-        "alternatives": found.stale,
+        "not up to date": found.stale,
+        "printed, but not judged here": found.unjudged,
+        "reasons of configurations that are not here": found.astray,
     }
+    owed = [title for title, lines in lists.items() if lines]
+    if not complete:
+        owed = [title for title in owed if not title.endswith("here")]
+    code = Exit.DIFFERS if owed else Exit.FINE
     if as_json:
         print(json.dumps({"tables": [table.plain() for table in found.tables], **lists}, indent=2))
         return code
     words = ("exact", "agrees", "untestable", "differs")
     rows: list[tuple[str, ...]] = [
-        ("configuration", "table", "counted", *words, "joint p", "mutation score", "survivors")
+        ("configuration", "table", "printed", *words, "wide", "joint p", "mutation score", "survivors")
     ]
     for table in found.tables:
         numbers = [table.counts.get(word, 0) for word in words]
         p = "-" if math.isnan(table.joint_p) else f"{table.joint_p:.2g}"
-        cells = [*map(str, [sum(numbers), *numbers]), p, table.score, "; ".join(table.survivors)]
+        printed = sum(numbers) + sum(table.uncounted.values())
+        of = f"{sum(numbers)} of {printed}" if table.uncounted else str(printed)
+        cells = [of, *map(str, [*numbers, table.wide]), p, table.score, "; ".join(table.survivors)]
         rows.append((table.config, table.table, *cells))
     print_columns(rows)
     for title, lines in lists.items():
@@ -99,7 +107,9 @@ def print_verification(
         uncounted.update(table.uncounted)
     if uncounted:
         print(f"not counted: {', '.join(f'{count} {why}' for why, count in sorted(uncounted.items()))}")
-    print(f"{folder}: {'every difference has its reason' if not found.unexplained else 'reasons are owed'}")
+    if any(table.wide for table in found.tables):
+        print("wide: they agree, by an interval wider than the printed number itself")
+    print(f"{folder}: {one_of(owed) if owed else 'every difference has its reason'}")
     return code
 
 

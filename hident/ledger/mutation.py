@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from hident.engine.experiment import Plan, Published
 from hident.engine.results import Results
@@ -27,20 +26,21 @@ def measured(
     """The power of a plan's printed numbers; ``run`` is given the name and the plan of each alternative."""
     published = plan.experiment.published
     assert published is not None
-    digits = is_same_data(published, plan.trials)
     numbers: dict[Key, tuple[str, dict[str, bool]]] = {}
     mutations: list[Mutation] = []
-    # Of equal data digits decide, and some of ours may differ themselves.
-    own = _differing(stand(run("itself", plan))) if digits else frozenset()
+    # By as many trials as an alternative's, some of ours differ themselves.
+    alone = next((one.trials for one in alternatives.values()), plan.trials)
+    itself = {one.printed.key: one for one in stand(run("itself", plan.changed(trials=alone)))}
     for name, alternative in alternatives.items():
         verdicts = stand(run(name, alternative))
         tables: dict[str, list[Verdict]] = {}
         for verdict in verdicts:
-            _, excluded = numbers.setdefault(verdict.printed.key, (verdict.printed.printed, {}))
-            excluded[name] = excluded.get(name, False) or verdict.word == "differs"
+            key = verdict.printed.key
+            _, excluded = numbers.setdefault(key, (verdict.printed.printed, {}))
+            excluded[name] = excluded.get(name, False) or _excludes(verdict, itself[key])
             if verdict.counts:
                 tables.setdefault(verdict.printed.table, []).append(verdict)
-        mutations += [_mutation(table, name, found, published, own) for table, found in tables.items()]
+        mutations += [_mutation(table, name, found, published, itself) for table, found in tables.items()]
     order = list(alternatives)
     return VerdictPower(
         {key: NumberPower(*numbers[key]) for key in sorted(numbers)},
@@ -48,17 +48,25 @@ def measured(
     )
 
 
-def _differing(verdicts: Iterable[Verdict]) -> frozenset[Key]:
-    return frozenset(verdict.printed.key for verdict in verdicts if verdict.word == "differs")
+def _excludes(verdict: Verdict, ours: Verdict) -> bool:
+    """Whether a number differs under an alternative, and does not without it."""
+    return verdict.word == "differs" and ours.word != "differs"
 
 
 def _mutation(
-    table: str, name: str, verdicts: Sequence[Verdict], published: Published, own: frozenset[Key]
+    table: str, name: str, verdicts: Sequence[Verdict], published: Published, itself: Mapping[Key, Verdict]
 ) -> Mutation:
-    differing = _differing(verdicts)
+    excluding = [one for one in verdicts if _excludes(one, itself[one.printed.key])]
     trials = len(verdicts[0].series.values)
     p = combined_p(group_p(group, trials, published) for group in grouped(verdicts))
-    # Without one there are digits, bounds, or estimates that all fail.
-    rejected = bool(differing - own) if math.isnan(p) else p < LEVEL
-    rejected = rejected or any(not len(verdict.series.valid) for verdict in verdicts)
-    return Mutation(table, name, len(verdicts), len(differing), p, rejected)
+    # Where nothing is drawn digits decide, and bounds where there is nothing else.
+    digits = is_same_data(published, trials)
+    bounds = all(one.printed.bound for one in verdicts)
+    decided = any(digits or bounds or _is_fixed(one) for one in excluding)
+    lost = any(itself[one.printed.key].is_known and not len(one.series.valid) for one in verdicts)
+    return Mutation(table, name, len(verdicts), len(excluding), p, p < LEVEL or decided or lost)
+
+
+def _is_fixed(verdict: Verdict) -> bool:
+    """Whether all trials give one number."""
+    return verdict.is_known and len(verdict.series.valid) > 1 and not verdict.is_random

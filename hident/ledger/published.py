@@ -16,11 +16,12 @@ from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Annotated
 
-from pydantic import ValidationError
+from pydantic import BeforeValidator, ValidationError
 
 from hident.config.load import Problem, content_of, problems_of, read
-from hident.config.spec import Spec
+from hident.config.spec import NonEmpty, Spec
 from hident.config.suggest import did_you_mean
 from hident.engine.experiment import Label, Plan, PublishedCells
 from hident.engine.results import Results, Series
@@ -78,25 +79,41 @@ class Printed:
         return self.half_unit * (1 + 1e-9)
 
 
+def _as_list(written: object) -> object:
+    return [written] if isinstance(written, str) else written
+
+
+Patterns = Annotated[NonEmpty[str], BeforeValidator(_as_list)]
+"""Texts or shell patterns, of which one must fit; one text stands for a list of it."""
+
+
 class Reason(Spec):
-    """Why printed numbers differ from ours; each field but ``reason`` may be a shell pattern."""
+    """Why printed numbers differ from ours; each field but ``reason`` is a shell pattern or several."""
 
     reason: str
     """The reason, one or two sentences."""
-    config: str = "*"
+    config: Patterns = ("*",)
     """Name of the configuration."""
-    table: str = "*"
+    table: Patterns = ("*",)
     """The table."""
-    row: str = "*"
+    row: Patterns = ("*",)
     """The row."""
-    quantity: str = "*"
+    quantity: Patterns = ("*",)
     """The quantity."""
 
     def covers(self, config: str, key: Key) -> bool:
         """Whether it speaks of this number of this configuration."""
         texts = zip((config, *key), (self.config, self.table, self.row, self.quantity), strict=True)
-        # Square brackets and parentheses are common in names, so only * and ? are patterns.
-        return all(fnmatchcase(text, pattern.replace("[", "[[]")) for text, pattern in texts)
+        return all(any(_fits(text, pattern) for pattern in patterns) for text, patterns in texts)
+
+    def is_of(self, configs: Iterable[str]) -> bool:
+        """Whether it speaks of one of these configurations."""
+        return any(_fits(config, pattern) for config in configs for pattern in self.config)
+
+
+def _fits(text: str, pattern: str) -> bool:
+    # Square brackets and parentheses are common in names, so only * and ? are patterns.
+    return fnmatchcase(text, pattern.replace("[", "[[]"))
 
 
 Beside = tuple[PublishedCells, Series, Printed]

@@ -2,7 +2,8 @@
 
 ``exact``: ours rounds to the printed digits. ``agrees``: the printed number lies in the interval that the
 trials give, widened by its rounding, and not in that of every alternative that the configuration names.
-``untestable``: it lies in all of them. ``differs``: else, and then a reason is owed. The interval is
+``untestable``: it is one of these two, and no alternative is excluded by it. ``differs``: else, and then a
+reason is owed. The interval is
 
 - none where the trials are the paper's own data: digits are equal or differ;
 - the central 95 % of single trials where the paper ran one realisation or does not say how many it averaged;
@@ -61,6 +62,8 @@ COLUMNS = (
 RUNS = (1, 10, 100)
 """How many runs a paper may have averaged that does not say it."""
 LEVEL = 0.05
+KNOWN = 0.9
+"""The share of trials in which a number must be known to be judged together with others."""
 _MOST_ROWS = 10_000
 _NAN = float("nan")
 
@@ -101,6 +104,16 @@ class Verdict:
     def counts(self) -> bool:
         """Whether it says anything that another number, or the configuration itself, does not."""
         return self.mark in ("", "multiplicity")
+
+    @property
+    def is_known(self) -> bool:
+        """Whether so many trials have a value that those that lack one do not decide."""
+        return len(self.series.valid) >= KNOWN * len(self.series.values)
+
+    @property
+    def is_random(self) -> bool:
+        """Whether it is known and varies over the trials, so that a printed one is a draw."""
+        return self.is_known and not is_constant(self.series.valid)
 
     def row(self) -> tuple[object, ...]:
         """The row of verdicts.csv."""
@@ -180,7 +193,9 @@ def _with_power(verdict: Verdict, power: VerdictPower | None) -> Verdict:
     # Of a number that has changed since, nothing is known.
     known = number.excluded if number and number.printed == verdict.printed.printed else {}
     excluded = sum(known.values())
-    word: Word = "untestable" if verdict.word == "agrees" and not excluded else verdict.word
+    # Digits say something by themselves where nothing was tried.
+    idle = verdict.word == "agrees" or (verdict.word == "exact" and known)
+    word: Word = "untestable" if idle and not excluded else verdict.word
     return replace(verdict, word=word, excluded=excluded, alternatives=len(known))
 
 
@@ -265,15 +280,16 @@ class _Pool:
 def group_p(group: Sequence[Verdict], trials: int, published: Published, runs: int = 1) -> float:
     """The p-value of numbers from the same data, against the joint distribution of our trials; nan: none.
 
-    Bounds, and what does not count, are left out. Where the paper does not say how many runs it averaged, as
-    many as ``runs`` are taken.
+    Bounds, what does not count, what is known in few trials and what does not vary (its digits are equal or
+    differ) are left out. Where the paper does not say how many runs it averaged, as many as ``runs`` are
+    taken.
     """
     pool = _pool(group, trials, published, runs)
     return pool.joint_p() if pool else _NAN
 
 
 def _pool(group: Sequence[Verdict], trials: int, published: Published, runs: int = 1) -> _Pool | None:
-    group = [one for one in group if one.counts and not one.printed.bound]
+    group = [one for one in group if one.counts and not one.printed.bound and one.is_random]
     if not group or is_same_data(published, trials):
         return None
     rows = np.stack([one.series.values[:_MOST_ROWS] for one in group], axis=1)

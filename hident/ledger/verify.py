@@ -5,17 +5,19 @@ from __future__ import annotations
 import csv
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
 
+from hident.config.spec import canonical
 from hident.config.suggest import one_of
+from hident.engine.experiment import load
 from hident.engine.run_files import MUTATIONS, NUMBERS, POWER, RUN, VERDICTS
 from hident.errors import ConfigError, NothingToCompare
 from hident.ledger.joint import combined_p
 from hident.ledger.power import VerdictPower, is_of
-from hident.ledger.published import Key, Reason, read_published, read_reasons
+from hident.ledger.published import PUBLISHED, Key, Reason, read_published, read_reasons
 from hident.ledger.verdicts import COLUMNS, LEVEL, Word
 from hident.run_folder import RunFolder
 
@@ -39,6 +41,8 @@ class TableState:
     """The mutation score: how many alternatives the table rejects, and how many were tried."""
     survivors: tuple[str, ...]
     """The alternatives that it does not reject."""
+    wide: int = 0
+    """How many of those that agree have an interval wider than the printed number itself."""
 
     @property
     def score(self) -> str:
@@ -63,15 +67,20 @@ class Verification:
     unjudged: tuple[str, ...]
     """Printed numbers of the papers that no configuration's verdicts hold."""
     idle: tuple[str, ...]
-    """Reasons that cover no difference."""
+    """Reasons that cover no difference, or a number that does not differ."""
+    astray: tuple[str, ...]
+    """Reasons of configurations that are not in the folder."""
     stale: tuple[str, ...]
-    """Configurations whose alternatives were run for what is not there any more."""
+    """Verdicts on other digits than are printed, and alternatives that were run for what is not there."""
 
 
-def verify(folder: Path, experiments: Path, results: Path | None = None) -> Verification:
-    """Check the verdicts of all configurations in ``folder`` against today's reasons.
+def verify(
+    folder: Path, experiments: Path, results: Path | None = None, configs: Path | None = None
+) -> Verification:
+    """Check the verdicts of all configurations in ``folder`` against today's printed numbers and reasons.
 
-    What is known of alternatives is what is accepted in ``results``, by default the folder itself.
+    What is known of alternatives is what is accepted in ``results``, by default the folder itself. With
+    ``configs`` each run must be that of the file of its name there.
 
     NothingToCompare if the folder holds no verdicts. ConfigError if a file of the ledger cannot be read, or
     the verdicts of a run are gone or not as it wrote them.
@@ -83,35 +92,68 @@ def verify(folder: Path, experiments: Path, results: Path | None = None) -> Veri
     unexplained: list[str] = []
     stale: list[str] = []
     judged: dict[str, set[Key]] = {}
-    used: set[tuple[str, int]] = set()
-    configs: list[str] = []
+    used: dict[tuple[str, int], dict[tuple[str, Key], str]] = {}
+    names: list[str] = []
     for run in found:
         config, paper, resolved = _origin(run)
-        configs.append(config)
+        names.append(config)
         reasons = read_reasons(experiments / paper)
+        printed = read_published(experiments / paper)
         rows = _verdicts(run)
         power, said = _power(results or folder, config, resolved, rows)
-        stale += [f"{config}: {line}" for line in said]
+        said += [] if configs is None else _outdated(configs / f"{config}.yaml", resolved)
         tables += _tables(config, rows, power)
         for row in rows:
             key = (row["table"], row["row"], row["quantity"])
             judged.setdefault(paper, set()).add(key)
-            if row["verdict"] == "differs":
-                covering = _covering(reasons, config, key)
-                if covering is None and row["mark"] in _COUNTED:
-                    unexplained.append(
-                        f"{config}: {' / '.join(key)}: printed {row['printed']}, ours {row['ours']}"
-                    )
-                elif covering is not None:
-                    used.add((paper, covering))
-    unjudged, idle = [], []
-    for paper, keys in judged.items():
-        missing = [key for key in read_published(experiments / paper) if key not in keys]
+            if key not in printed or printed[key].printed != row["printed"]:
+                said.append(
+                    f"{' / '.join(key)}: {row['printed']} is not what is printed: hident run {config}"
+                )
+            covering = _covering(reasons, config, key)
+            counts = row["mark"] in _COUNTED
+            if covering is not None and (counts or row["verdict"] == "differs"):
+                words = used.setdefault((paper, covering), {})
+                # Beside several of our numbers one that differs is enough.
+                if words.get((config, key)) != "differs":
+                    words[config, key] = row["verdict"]
+            elif counts and row["verdict"] == "differs":
+                unexplained.append(
+                    f"{config}: {' / '.join(key)}: printed {row['printed']}, ours {row['ours']}"
+                )
+        stale += [f"{config}: {line}" for line in said]
+    unjudged, idle, astray = [], [], []
+    for paper in sorted({*judged, *_papers(experiments)}):
+        missing = [key for key in read_published(experiments / paper) if key not in judged.get(paper, ())]
         unjudged += [f"{paper}: {' / '.join(key)}" for key in missing]
         for i, reason in enumerate(read_reasons(experiments / paper)):
-            if (paper, i) not in used and (reason.config == "*" or reason.config in configs):
-                idle.append(f"{paper}: {reason.reason}")
-    return Verification(tuple(tables), tuple(unexplained), tuple(unjudged), tuple(idle), tuple(stale))
+            found_words = set(used.get((paper, i), {}).values())
+            if not reason.is_of(names):
+                astray.append(f"{paper}: {' or '.join(reason.config)}: {reason.reason}")
+            elif found_words != {"differs"}:
+                idle.append(f"{paper}: {reason.reason}{_of_what(found_words)}")
+    return Verification(
+        tuple(tables), tuple(unexplained), tuple(unjudged), tuple(idle), tuple(astray), tuple(stale)
+    )
+
+
+def _outdated(path: Path, resolved: dict[str, Any]) -> list[str]:
+    """What is wrong with a run whose configuration is not that of a file."""
+    if not path.exists():
+        return [f"{path} is gone"]
+    today, then = dict(canonical(load(path).experiment)), dict(resolved)
+    # What is judged says by how many trials it is.
+    today.pop("trials"), then.pop("trials")
+    return [] if today == then else [f"it was run for another configuration than {path}: hident run {path}"]
+
+
+def _papers(experiments: Path) -> list[str]:
+    return [path.parent.name for path in experiments.glob(f"*/{PUBLISHED}")]
+
+
+def _of_what(words: Iterable[str]) -> str:
+    others = sorted(set(words) - {"differs"})
+    return f" (it covers others, too: {one_of(others)}; name the rows that differ)" if others else ""
 
 
 def _tables(config: str, rows: Sequence[dict[str, str]], power: VerdictPower | None) -> list[TableState]:
@@ -132,6 +174,7 @@ def _tables(config: str, rows: Sequence[dict[str, str]], power: VerdictPower | N
                 rejected,
                 tried,
                 tuple(survivors),
+                sum(row["verdict"] == "agrees" and _number(row["width"]) > 1.0 for row in counted),
             )
         )
     return found

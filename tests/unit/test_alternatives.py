@@ -1,5 +1,6 @@
 """Alternatives: the same experiment with one thing changed."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +139,7 @@ def test_numbers_and_tables_are_held_against_each_alternative(tmp_path):
         return run(alternative)
 
     power = measured(plan, alternative_plans(plan, trials_of(plan, 30)), results)
-    assert asked == [("near", 30), ("far", 30)]
+    assert asked == [("itself", 30), ("near", 30), ("far", 30)]
     assert {key[1]: number.excluded for key, number in power.numbers.items()} == {
         f"N={n}": {"near": False, "far": True} for n in (10, 100, 1000)
     }
@@ -149,13 +150,99 @@ def test_numbers_and_tables_are_held_against_each_alternative(tmp_path):
     assert VerdictPower.decoded(*(text.encode() for text in power.files().values())) == power
 
 
-def test_a_table_is_rejected_where_every_estimate_fails(tmp_path):
-    plan = plan_with(tmp_path, "{x: {system.linear.a: [0.9]}}")
+def changed_by(change, *, first=True):
+    """What runs an alternative with its values changed; with ``first`` the plan itself is left as it is."""
 
-    def failing(name, alternative):
+    def results(name, alternative):
         found = run(alternative)
-        series = tuple(Series(one.unit, one.metric, one.values * np.nan) for one in found.series)
-        return Results(alternative, series)
+        if first and name == "itself":
+            return found
+        series = (Series(one.unit, one.metric, change(one.values.copy())) for one in found.series)
+        return Results(alternative, tuple(series))
 
-    (mutation,) = measured(plan, alternative_plans(plan), failing).mutations
-    assert mutation.rejected
+    return results
+
+
+def mutation_of(plan, results):
+    (mutation,) = measured(plan, alternative_plans(plan, 40), results).mutations
+    return mutation
+
+
+POLE = "{x: {system.linear.a: [0.9]}}"
+
+
+def test_a_table_is_rejected_where_every_estimate_fails(tmp_path):
+    plan = plan_with(tmp_path, POLE, trials=60)
+    mutation = mutation_of(plan, changed_by(lambda values: values * np.nan))
+    assert (mutation.rejected, math.isnan(mutation.joint_p)) == (True, True)
+    # Where ours fail as well, that says nothing.
+    assert not mutation_of(plan, changed_by(lambda values: values * np.nan, first=False)).rejected
+
+
+def test_numbers_that_few_trials_know_reject_nothing(tmp_path):
+    def lost(values):
+        values[3:] = np.nan
+        return values + 1e6
+
+    mutation = mutation_of(plan_with(tmp_path, POLE, trials=60), changed_by(lost))
+    assert (mutation.rejected, math.isnan(mutation.joint_p)) == (False, True)
+
+
+def test_what_does_not_vary_rejects_by_its_digits(tmp_path):
+    plan = plan_with(tmp_path, POLE, trials=60)
+    fixed = {"itself": 1.0, "x": 1.0}
+
+    def results(name, alternative):
+        return changed_by(lambda values: np.full_like(values, fixed[name]), first=False)(name, alternative)
+
+    (tmp_path / "experiments" / "someone2001" / "published.csv").write_text(
+        "table,row,quantity,printed,note\n" + "".join(f"T,N={n},error,1.00,\n" for n in (10, 100, 1000))
+    )
+    plan = load(plan.path)
+    assert not mutation_of(plan, results).rejected
+    fixed["x"] = 1.01
+    mutation = mutation_of(plan, results)
+    assert (mutation.rejected, math.isnan(mutation.joint_p), mutation.excluding) == (True, True, 3)
+    # A misprint that ours misses too tells nothing of an alternative.
+    fixed["itself"] = 1.02
+    assert (mutation_of(plan, results).rejected, mutation_of(plan, results).excluding) == (False, 0)
+
+
+def test_where_digits_decide_one_that_changes_rejects(tmp_path):
+    plan = plan_with(tmp_path, POLE, trials=60)
+    text = plan.path.read_text()
+    plan.path.write_text(text.replace("paper_trials: 1\n", "paper_trials: 60\n  same_data: true\n"))
+    plan = load(plan.path)
+    assert plan.experiment.published is not None and plan.experiment.published.same_data
+    means = [series.value("mean") for series in run(plan).select("one")]
+    rows = zip((10, 100, 1000), means, strict=True)
+    (tmp_path / "experiments" / "someone2001" / "published.csv").write_text(
+        "table,row,quantity,printed,note\n" + "".join(f"T,N={n},error,{mean:.4f},\n" for n, mean in rows)
+    )
+    plan = load(plan.path)
+    (mutation,) = measured(plan, alternative_plans(plan), changed_by(lambda values: values)).mutations
+    assert (mutation.rejected, math.isnan(mutation.joint_p), mutation.excluding) == (True, True, 3)
+
+
+def test_a_harmless_alternative_excludes_few_numbers_that_agree(tmp_path):
+    """As docs/verdicts.md says: about one in twenty."""
+    rng = np.random.default_rng(3)
+    plan = plan_with(tmp_path, POLE, trials=40)
+    found = {name: run(one) for name, one in (("itself", plan), *alternative_plans(plan, 40).items())}
+    excluded = []
+    for _ in range(300):
+        printed = rng.normal(size=3)
+        numbers = "".join(
+            f"T,N={n},error,{one:.6f},\n" for n, one in zip((10, 100, 1000), printed, strict=True)
+        )
+        (tmp_path / "experiments" / "someone2001" / "published.csv").write_text(
+            f"table,row,quantity,printed,note\n{numbers}"
+        )
+
+        def drawn(name, alternative):
+            series = (Series(one.unit, one.metric, rng.normal(size=40)) for one in found[name].series)
+            return Results(alternative, tuple(series))
+
+        power = measured(load(plan.path), alternative_plans(load(plan.path), 40), drawn)
+        excluded += [number.excluded["x"] for number in power.numbers.values()]
+    assert 0.015 < np.mean(excluded) < 0.06
