@@ -170,6 +170,10 @@ class Record:
     def __len__(self) -> int:
         return len(self.u)
 
+    def with_signals(self, u: Array, y: Array) -> Record:
+        """The record with other signals (N,): what ``replace`` gives, sooner."""
+        return Record(u, y, self.dt, self.truth, self.parts, self.validation, self.units, self.offsets)
+
     @classmethod
     def at(cls, t: Array, u: Array, y: Array) -> Record:
         """The record of measurements at the times ``t`` (N,), which must be evenly spaced.

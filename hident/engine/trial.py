@@ -7,7 +7,7 @@ import hashlib
 import json
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from typing import Annotated, Any, NamedTuple, TypeVar
 
@@ -198,7 +198,7 @@ def _noisy(
     if perturbation:
         sequence = np.random.SeedSequence([seed, data.key, perturbation], spawn_key=(_PERTURBATION, trial))
         u, y = _perturbed(u, y, np.random.default_rng(sequence))
-    return _unwritable(replace(clean, u=u, y=y))
+    return _unwritable(clean.with_signals(u, y))
 
 
 def _unwritable(record: Record) -> Record:
@@ -311,14 +311,16 @@ def _outcome(
     crashes: dict[int, Crash] = {}
     scores, late = [], []
     for metric in job.metrics:
+        labels = len(metric.labels(""))
         scored = {
-            trial: _score(metric, one, records[trial], clock) if isinstance(one, Estimate) else _failed(one)
+            trial: _score(metric, labels, one, records[trial], clock)
+            if isinstance(one, Estimate)
+            else _failed(one)
             for trial, one in found.items()
         }
         crashes = {trial: one for trial, one in scored.items() if isinstance(one, Crash)} | crashes
         ended = {trial: str(one) for trial, one in scored.items() if isinstance(one, _Late)}
         kept = {trial: one for trial, one in scored.items() if not isinstance(one, Crash | _Late)}
-        labels = len(metric.labels(""))
         scores.append(gathered(kept, labels))
         late.append(gathered(ended, labels))
     return Outcome(tuple(scores), crashes, tuple(late))
@@ -368,7 +370,7 @@ def _estimates(
 
     if not (is_batched(job.estimator) and records):
         return apart(records)
-    together = _attempt(partial(_together, job.estimator, records), clock)
+    together = _attempt(partial(_together, data, job, job.estimator, records, seed), clock)
     if not isinstance(together, BaseException):
         wrong = _otherwise(together, apart({_CHECKED} & together.keys() if len(together) > 1 else ()))
         return dict.fromkeys(records, wrong) if wrong else {**together}
@@ -381,10 +383,15 @@ def _estimates(
     return dict.fromkeys(records, together) if own else found
 
 
-def _together(estimator: Batched, records: Mapping[int, Record]) -> dict[int, Estimate | EstimationError]:
+def _together(
+    data: Data, job: Job, estimator: Batched, records: Mapping[int, Record], seed: int
+) -> dict[int, Estimate | EstimationError]:
     for record in records.values():
         estimator.require_experiments(record)
-    found = estimator.fit_many([*records.values()])
+    drawn = []
+    if job.estimator.draws():
+        drawn = [data.streams.generators("estimator", seed, job.key, [*records])]
+    found = estimator.fit_many([*records.values()], *drawn)
     kinds = {type(one).__name__ for one in found if not isinstance(one, Estimate | EstimationError)}
     if kinds or len(found) != len(records):
         named = f"fit_many of {type(estimator).__name__}"
@@ -423,16 +430,18 @@ class _Late(str):
     __slots__ = ()
 
 
-def _score(metric: MetricSpec, found: Estimate, record: Record, clock: Clock) -> Array | str | Crash:
+def _score(
+    metric: MetricSpec, labels: int, found: Estimate, record: Record, clock: Clock
+) -> Array | str | Crash:
     """The values of a metric; or why it failed; or its crash."""
-    values = _attempt(partial(_numbers, metric, found, record), clock)
+    values = _attempt(partial(_numbers, metric, labels, found, record), clock)
     return _failed(values, OF_METRIC) if isinstance(values, BaseException) else values
 
 
-def _numbers(metric: MetricSpec, found: Estimate, record: Record) -> Array:
-    values, count = np.array(metric.evaluate(found, record), dtype=float), len(metric.labels(""))
-    if values.shape != (count,):
-        raise ValueError(f"the metric '{metric.kind}' gives {values.size} values for {count} labels")
+def _numbers(metric: MetricSpec, labels: int, found: Estimate, record: Record) -> Array:
+    values = np.array(metric.evaluate(found, record), dtype=float)
+    if values.shape != (labels,):
+        raise ValueError(f"the metric '{metric.kind}' gives {values.size} values for {labels} labels")
     return values
 
 

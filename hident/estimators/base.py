@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Mapping, Sequence
 from typing import ClassVar, Literal, Protocol, TypeGuard, runtime_checkable
@@ -9,7 +10,7 @@ from typing import ClassVar, Literal, Protocol, TypeGuard, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hident.arrays import Array
+from hident.arrays import Array, Flags
 from hident.config.spec import Component
 from hident.errors import EstimationError
 from hident.estimators.normalisation import Normalisation
@@ -212,14 +213,17 @@ class Batched(Protocol):
     def fit_many(self, records: Sequence[Record]) -> list[Estimate | EstimationError]:
         """What ``fit`` gives or raises for each record, to the last bit, however many there are.
 
-        Those of one fixed input share the array ``u``. Where it raises, each record is fitted by itself; if
-        that succeeds, the error is the method's own, and all these trials have crashed.
+        Those of one fixed input share the array ``u``. An estimator that draws takes a second argument,
+        ``rngs``: the stream of each record. Where it raises, each record is fitted by itself; if that
+        succeeds, the error is the method's own, and all these trials have crashed.
         """
 
 
 def is_batched(estimator: EstimatorSpec) -> TypeGuard[Batched]:
-    """Whether a run calls ``fit_many``: nothing is drawn, and no subclass writes a ``fit`` over it."""
-    if estimator.draws() or not isinstance(estimator, Batched):
+    """Whether a run calls ``fit_many``: no subclass has its own ``fit``, and it takes streams if it draws."""
+    if not isinstance(estimator, Batched):
+        return False
+    if estimator.draws() and "rngs" not in inspect.signature(estimator.fit_many).parameters:
         return False
     order = type(estimator).__mro__
     fit, fit_many = (
@@ -273,6 +277,6 @@ def require_varying(signal: Array, name: str) -> None:
     )
 
 
-def varies(signal: Array) -> bool:
-    """Whether a signal (N,) takes different values, apart from rounding."""
-    return bool(np.ptp(signal) > _ROUNDING * np.max(np.abs(signal)))
+def varies(signals: Array) -> Flags:
+    """Whether each signal (..., N) takes different values, apart from rounding."""
+    return np.asarray(np.ptp(signals, axis=-1) > _ROUNDING * np.max(np.abs(signals), axis=-1))

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from hident.arrays import Array
+from hident.arrays import Array, Flags
 
 ILL_CONDITIONED = 1e12
 """Condition number, of columns scaled to length one, from which they count as linearly dependent."""
@@ -24,7 +24,8 @@ def lengths(columns: Array) -> Array:
 class Factorisation:
     """The columns X (N, P) = Q R diag(length), factored once for any number of outputs.
 
-    ``q`` has the shape (N, P), ``r`` (P, P) is upper triangular, ``length`` (P,) are the columns' lengths.
+    ``q`` has the shape (N, P), ``r`` (P, P) is upper triangular, ``length`` (P,) are the columns' lengths. Of
+    a stack of matrices, with more axes before these, :attr:`inverse_root` and :attr:`dependent` are stacks.
 
     Examples
     --------
@@ -40,9 +41,9 @@ class Factorisation:
 
     @classmethod
     def of(cls, columns: Array) -> Self:
-        """Factor the columns (N, P)."""
+        """Factor the columns (..., N, P)."""
         length = lengths(columns)
-        return cls(*np.linalg.qr(columns / length), length)
+        return cls(*np.linalg.qr(columns / length[..., None, :]), length)
 
     @cached_property
     def _singular(self) -> tuple[Array, Array]:
@@ -58,9 +59,16 @@ class Factorisation:
         return right[vanish]
 
     @property
+    def dependent(self) -> Flags:
+        """Whether (...) some column is a combination of others; so it is with fewer rows than columns."""
+        values, right = self._singular
+        few = values.shape[-1] < right.shape[-1]
+        return np.asarray(few | np.any(values * ILL_CONDITIONED <= values[..., :1], axis=-1))
+
+    @property
     def is_dependent(self) -> bool:
-        """Whether some column is a combination of others; so it is with fewer rows than columns."""
-        return len(self.null) > 0
+        """:attr:`dependent` of one matrix."""
+        return bool(self.dependent)
 
     def solution(self, y: Array) -> Array:
         """The parameters (P,) or (P, T) for the outputs ``y`` (N,) or (N, T)."""
@@ -69,5 +77,5 @@ class Factorisation:
 
     @cached_property
     def inverse_root(self) -> Array:
-        """The matrix G (P, P) with (X'X)^-1 = G G'."""
-        return np.asarray(np.linalg.solve(self.r, np.eye(len(self.r))) / self.length[:, None])
+        """The matrix G (..., P, P) with (X'X)^-1 = G G'."""
+        return np.asarray(np.linalg.solve(self.r, np.eye(self.r.shape[-1])) / self.length[..., None])

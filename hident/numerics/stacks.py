@@ -1,10 +1,16 @@
-"""Many signals at once, with the same numbers to the last bit as each by itself."""
+"""Many signals or problems at once, with the same numbers to the last bit as each by itself."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import Any, TypeVar
+
 import numpy as np
 
-from hident.arrays import Array
+from hident.arrays import Array, Flags, Index
+
+S = TypeVar("S")
 
 
 def times(signals: Array, matrix: Array) -> Array:
@@ -18,3 +24,49 @@ def times(signals: Array, matrix: Array) -> Array:
     [[21.0], [43.0]]
     """
     return np.asarray(np.matmul(signals[..., None, :], matrix)[..., 0, :])
+
+
+def applied(matrices: Array, vectors: Array) -> Array:
+    """Each matrix (..., N, K) times its vector (..., K), shape (..., N).
+
+    Examples
+    --------
+    >>> applied(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[1.0, 0.0], [0.0, 1.0]])).tolist()
+    [[1.0, 3.0], [2.0, 4.0]]
+    """
+    return np.asarray(np.matmul(matrices, vectors[..., None])[..., 0])
+
+
+def dots(vectors: Array, others: Array) -> Array:
+    """The product (...) of each vector (..., N) with another.
+
+    Examples
+    --------
+    >>> dots(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[1.0, 1.0], [0.0, 2.0]])).tolist()
+    [3.0, 8.0]
+    """
+    return np.asarray(np.matmul(vectors[..., None, :], others[..., :, None])[..., 0, 0])
+
+
+def chosen(stack: S, which: Flags | Index | slice) -> S:
+    """Those of a stack of T objects: a dataclass whose fields are arrays (T, ...)."""
+    return _each(stack, lambda array: array[which])
+
+
+def copied(stack: S) -> S:
+    """A stack with arrays of its own."""
+    return _each(stack, np.array)
+
+
+def put(stack: S, at: Flags | Index, others: S) -> None:
+    """Let the ``others`` take the places ``at`` of a stack, whose arrays are written to."""
+    for name in _names(stack):
+        getattr(stack, name)[at] = getattr(others, name)
+
+
+def _each(stack: Any, make: Callable[[Any], Any]) -> Any:
+    return replace(stack, **{name: make(getattr(stack, name)) for name in _names(stack)})
+
+
+def _names(stack: Any) -> list[str]:
+    return [field.name for field in fields(stack)]

@@ -14,6 +14,7 @@ r, J       residuals (N,), output less model, and the model's derivative (N, P)
 g, H       gradient -J'r and Gauss and Newton's second derivative J'J of r'r / 2
 M          preconditioner: the lengths of the columns of H
 radius     the longest step
+T          problems at once, each with the same numbers as by itself
 =========  ========================================================================
 """
 
@@ -25,9 +26,10 @@ from typing import Generic, Literal
 
 import numpy as np
 
-from hident.arrays import Array
+from hident.arrays import Array, Index
 from hident.numerics.gauss_newton import P
 from hident.numerics.least_squares import lengths
+from hident.numerics.stacks import applied, chosen, copied, dots, put
 
 Status = Literal["converged", "stalled", "exhausted"]
 """How it ended: at rest, no step lowers the loss, no iteration is left."""
@@ -47,11 +49,11 @@ _MOST_REJECTED = 30
 
 @dataclass(frozen=True, eq=False)
 class Reached(Generic[P]):
-    """Where it ended, and how; ``iterations`` counts the steps that were tried."""
+    """Where T problems ended, and how; ``iterations`` (T,) counts the steps that were tried."""
 
     point: P
-    status: Status
-    iterations: int
+    status: tuple[Status, ...]
+    iterations: Index
 
 
 def subspace_trust_region(
@@ -62,14 +64,14 @@ def subspace_trust_region(
     max_iterations: int = 400,
     radius: float = 10.0,
 ) -> Reached[P]:
-    """Minimise the sum of squared residuals from ``start``.
+    """Minimise the sum of squared residuals from ``start``, in T problems at once.
 
     Parameters
     ----------
-    start : Point
-        The first model.
+    start : Points
+        The first models: a dataclass of arrays (T, ...), see :mod:`hident.numerics.stacks`.
     moved : callable
-        The model a step (P,) away from another.
+        The models a step (T, P) away from some of them.
     tolerance : float
         At rest, a step that the radius does not hold changes the loss by less than this times one more than
         the loss, and has not promised more than four times that.
@@ -82,98 +84,155 @@ def subspace_trust_region(
     --------
     >>> import numpy as np
     >>> from dataclasses import dataclass
+    >>> t = np.arange(4.0)
     >>> @dataclass(frozen=True)
-    ... class Decay:
-    ...     rate: float
-    ...     t = np.arange(4.0)
-    ...     residuals = property(lambda self: np.exp(-0.5 * self.t) - np.exp(-self.rate * self.t))
-    ...     jacobian = property(lambda self: (-self.t * np.exp(-self.rate * self.t))[:, None])
-    ...     loss = property(lambda self: float(self.residuals @ self.residuals))
-    >>> found = subspace_trust_region(Decay(2.0), lambda at, step: Decay(at.rate + float(step[0])))
-    >>> found.status, round(found.point.rate, 3)
-    ('converged', 0.5)
+    ... class Decays:
+    ...     rate: np.ndarray
+    ...     model = property(lambda self: np.exp(-self.rate[:, None] * t))
+    ...     residuals = property(lambda self: np.exp(-0.5 * t) - self.model)
+    ...     jacobian = property(lambda self: (-t * self.model)[..., None])
+    ...     loss = property(lambda self: np.sum(self.residuals**2, axis=-1))
+    >>> start = Decays(np.array([2.0, 1.0]))
+    >>> found = subspace_trust_region(start, lambda at, step: Decays(at.rate + step[:, 0]))
+    >>> found.status, found.point.rate.round(3).tolist()
+    (('converged', 'converged'), [0.5, 0.5])
     """
-    point, iterations, rejected = start, 0, 0
-    while iterations < max_iterations:
-        gradient = -point.jacobian.T @ point.residuals
-        hessian = point.jacobian.T @ point.jacobian
-        step = _step(hessian, gradient, radius)
-        length = float(np.linalg.norm(step))
-        promised = -float(step @ (2.0 * gradient + hessian @ step))
-        if promised <= 0.0:
-            return Reached(point, "converged", iterations)
+    point, rows = start, np.arange(len(start.loss))
+    found, iterations = copied(start), np.full(len(rows), max_iterations)
+    status: list[Status] = ["exhausted"] * len(rows)
+    radii, rejected = np.full(len(rows), radius), np.zeros(len(rows), dtype=int)
+
+    def ends(which: Array, how: Status, after: int) -> None:
+        put(found, rows[which], chosen(point, which))
+        iterations[rows[which]] = after
+        for row in rows[which].tolist():
+            status[row] = how
+
+    for tried in range(max_iterations):
+        transposed = point.jacobian.swapaxes(-1, -2)
+        gradient, hessian = applied(-transposed, point.residuals), transposed @ point.jacobian
+        step = _steps(hessian, gradient, radii)
+        promised = -dots(step, 2.0 * gradient + applied(hessian, step))
+        if np.any(flat := promised <= 0.0):
+            ends(flat, "converged", tried)
+            left = np.flatnonzero(~flat)
+            point, rows, radii, rejected = chosen(point, left), rows[left], radii[left], rejected[left]
+            step, promised = step[left], promised[left]
+        if not len(rows):
+            break
+        length, loss = np.sqrt(dots(step, step)), point.loss
         new = moved(point, step)
-        iterations += 1
-        gained = point.loss - new.loss
-        little = tolerance * (1.0 + point.loss)
+        gained, little = loss - new.loss, tolerance * (1.0 + loss)
         # The promise is looked at too: a bad step may come out at the same loss by chance.
-        rests = length < _HELD * radius and abs(gained) < little and promised < little / _POOR
+        rests = (length < _HELD * radii) & (np.abs(gained) < little) & (promised < little / _POOR)
         # A loss that is not a number is no gain.
-        if not gained > _POOR * promised:
-            radius = min(length, radius) / 4.0
-        elif gained >= _GOOD * promised and length >= _HELD * radius:
-            radius *= 2.0
-        point, rejected = (new, 0) if gained > 0.0 else (point, rejected + 1)
-        if rests:
-            return Reached(point, "converged", iterations)
-        if rejected == _MOST_REJECTED:
-            return Reached(point, "stalled", iterations)
-    return Reached(point, "exhausted", iterations)
+        poor = ~(gained > _POOR * promised)
+        grows = ~poor & (gained >= _GOOD * promised) & (length >= _HELD * radii)
+        radii = np.where(poor, np.minimum(length, radii) / 4.0, np.where(grows, 2.0 * radii, radii))
+        lower = gained > 0.0
+        if not np.all(lower):
+            put(new, ~lower, chosen(point, ~lower))
+        point, rejected = new, np.where(lower, 0, rejected + 1)
+        stalls = ~rests & (rejected == _MOST_REJECTED)
+        if np.any(over := rests | stalls):
+            ends(rests, "converged", tried + 1)
+            ends(stalls, "stalled", tried + 1)
+            left = np.flatnonzero(~over)
+            point, rows, radii, rejected = chosen(point, left), rows[left], radii[left], rejected[left]
+    put(found, rows, point)
+    return Reached(found, tuple(status), iterations)
 
 
 def conjugate_gradients(hessian: Array, gradient: Array, most: int) -> Array:
-    """An approximate solution (P,) of H s = -g by at most so many preconditioned conjugate gradients.
+    """Approximate solutions (T, P) of H s = -g by at most so many preconditioned conjugate gradients.
 
-    ``hessian`` (P, P) is positive semidefinite.
+    ``hessian`` (T, P, P) is positive semidefinite, ``gradient`` has the shape (T, P).
     """
-    scale = lengths(hessian)
-    step, residual = np.zeros_like(gradient), -gradient
+    steps = np.zeros_like(gradient)
+    rows, step, residual, scale = np.arange(len(gradient)), steps, -gradient, lengths(hessian)
     scaled = residual / scale
-    enough = _ENOUGH * np.linalg.norm(scaled)
-    direction, product = scaled, residual @ scaled
+    enough = _ENOUGH * np.sqrt(dots(scaled, scaled))
+    direction, product = scaled, dots(residual, scaled)
     for _ in range(most):
-        curved = hessian @ direction
-        curvature = direction @ curved
-        if curvature <= 0.0:
-            break
-        step = step + product / curvature * direction
-        residual = residual - product / curvature * curved
+        curved = applied(hessian, direction)
+        curvature = dots(direction, curved)
+        if np.any(ends := curvature <= 0.0):
+            left = np.flatnonzero(~ends)
+            rows, hessian, scale, step, residual, enough, direction, product, curved, curvature = (
+                of[left]
+                for of in (
+                    rows, hessian, scale, step, residual, enough, direction, product, curved, curvature
+                )
+            )  # fmt: skip
+        factor = (product / curvature)[:, None]
+        step = step + factor * direction
+        residual = residual - factor * curved
+        steps[rows] = step
         scaled = residual / scale
-        if np.linalg.norm(scaled) <= enough:
+        if np.any(ends := np.sqrt(dots(scaled, scaled)) <= enough):
+            left = np.flatnonzero(~ends)
+            rows, hessian, scale, step, residual, enough, direction, product, scaled = (
+                of[left] for of in (rows, hessian, scale, step, residual, enough, direction, product, scaled)
+            )
+        if not len(rows):
             break
-        product, last = residual @ scaled, product
-        direction = scaled + product / last * direction
-    return step
+        product, last = dots(residual, scaled), product
+        direction = scaled + (product / last)[:, None] * direction
+    return steps
 
 
-def _step(hessian: Array, gradient: Array, radius: float) -> Array:
-    """The least of the quadratic model in the plane of the gradient and the conjugate gradients' step."""
-    along = conjugate_gradients(hessian, gradient, max(1, len(gradient) // 2))
-    basis = _orthonormal(along, gradient)
-    inner = least_in_ball(basis.T @ hessian @ basis, basis.T @ gradient, radius)
-    return np.asarray(basis @ inner)
+def _steps(hessian: Array, gradient: Array, radii: Array) -> Array:
+    """The least of the quadratic models in the planes of the gradient and the conjugate gradients' step."""
+    along = conjugate_gradients(hessian, gradient, max(1, gradient.shape[-1] // 2))
+    bases, sizes = _orthonormal(along, gradient)
+    steps = np.zeros_like(gradient)
+    for size in np.unique(sizes).tolist():
+        rows = np.flatnonzero(sizes == size)
+        basis = np.ascontiguousarray(bases[rows, :, :size])
+        transposed = basis.swapaxes(-1, -2)
+        inner = least_in_ball(
+            transposed @ hessian[rows] @ basis, applied(transposed, gradient[rows]), radii[rows]
+        )
+        steps[rows] = applied(basis, inner)
+    return steps
 
 
-def _orthonormal(*vectors: Array) -> Array:
-    """An orthonormal basis (P, K) of the span of the vectors (P,), without those that are (nearly) in it."""
-    basis = np.zeros((len(vectors[0]), 0))
-    for vector in vectors:
-        if size := np.linalg.norm(vector):
-            rest = vector / size
-            rest = rest - basis @ (basis.T @ rest)
-            if (left := np.linalg.norm(rest)) > _PARALLEL:
-                basis = np.column_stack([basis, rest / left])
-    return basis
+def _orthonormal(first: Array, second: Array) -> tuple[Array, Index]:
+    """Orthonormal bases (T, P, 2) of the spans of two vectors (T, P) each, and how many columns they have.
+
+    A vector that is zero, or is (nearly) in the span of the one before, has no column.
+    """
+    columns, sizes = np.zeros((2, *first.shape)), np.zeros(len(first), dtype=np.intp)
+    for vectors in (first, second):
+        size = np.sqrt(dots(vectors, vectors))
+        rest = vectors / np.where(size == 0.0, 1.0, size)[:, None]
+        # A column that is not there is zero; it stands in one piece, as other dot products sum otherwise.
+        rest = rest - columns[0] * dots(columns[0], rest)[:, None]
+        left = np.sqrt(dots(rest, rest))
+        there = np.flatnonzero(left > _PARALLEL)
+        columns[sizes[there], there] = rest[there] / left[there, None]
+        sizes[there] += 1
+    return np.stack([*columns], axis=-1), sizes
 
 
-def least_in_ball(hessian: Array, gradient: Array, radius: float) -> Array:
-    """The s (K,), no longer than ``radius``, with the least g's + s'H s / 2, for g = -J'r and H = J'J."""
-    from scipy.optimize import brentq
-
+def least_in_ball(hessian: Array, gradient: Array, radius: Array) -> Array:
+    """The s (T, K) with the least g's + s'H s / 2 up to ``radius`` (T,), for g = -J'r and H = J'J."""
     values, vectors = np.linalg.eigh(hessian)
     # Along what is in the null space of H, g is rounding.
-    known = values > _NULL * np.max(values, initial=0.0)
-    values, vectors = values[known], vectors[:, known]
+    known = values > _NULL * np.max(values, axis=-1, initial=0.0, keepdims=True)
+    transposed = np.ascontiguousarray(vectors.swapaxes(-1, -2))
+    sides = applied(transposed, gradient) / np.where(known, values, 1.0)
+    steps = applied(-transposed.swapaxes(-1, -2), sides)
+    newton = np.all(known, axis=-1) & (np.sqrt(dots(steps, steps)) <= radius)
+    for i in np.flatnonzero(~newton).tolist():
+        steps[i] = _held(values[i, known[i]], vectors[i][:, known[i]], gradient[i], float(radius[i]))
+    return steps
+
+
+def _held(values: Array, vectors: Array, gradient: Array, radius: float) -> Array:
+    """:func:`least_in_ball` of one problem, by the eigenvectors (K, R) of the eigenvalues (R,) above zero."""
+    from scipy.optimize import brentq
+
     sides = vectors.T @ gradient
 
     def shifted(shift: float) -> Array:

@@ -357,6 +357,36 @@ def test_a_fit_that_a_subclass_writes_is_used_and_so_is_that_of_one_that_draws(l
     assert set(Together.calls) == {1}
 
 
+class DrawingTogether(Drawing):
+    """Draws for many records at once, from the stream of each."""
+
+    def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
+        assert rng is not None
+        [found] = self.fit_many([record], [rng])
+        assert isinstance(found, Estimate)
+        return found
+
+    def fit_many(
+        self, records: Sequence[Record], rngs: Sequence[np.random.Generator] | None = None
+    ) -> list[Estimate | EstimationError]:
+        assert rngs is not None
+        self.calls.append(len(records))
+        return [Estimate(values={"a_1": rng.random()}) for _, rng in zip(records, rngs, strict=True)]
+
+
+def test_one_that_draws_for_many_records_at_once_draws_as_for_each(lab: Lab) -> None:
+    data = _plan(lab).units[0].data
+    Together.calls.clear()
+    job = Job(DrawingTogether(), _A)
+    together = tried(data, [job], {trial: [0] for trial in range(5)}, seed=7)
+    # One is held against fit.
+    assert Together.calls == [5, 1]
+    alone = [one for trial in range(5) for one in tried(data, [job], {trial: [0]}, seed=7)]
+    values = [one.values[0] for one in together]
+    assert values == [one.values[0] for one in alone]
+    assert len({*values}) == 5
+
+
 @pytest.mark.parametrize(
     ("how", "message"),
     [

@@ -5,15 +5,14 @@ Symbols are in :mod:`hident.estimators.bilinear_models.bilinear`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
-from itertools import repeat
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
-from hident.arrays import Array
+from hident.arrays import Array, Flags
 from hident.config.spec import Count, Flag, Real, Spec, component
 from hident.errors import EstimationError
 from hident.estimators.bilinear_models.bilinear import Regression, loss, normalised
@@ -24,9 +23,10 @@ from hident.estimators.bilinear_models.two_stage import (
     two_stage,
 )
 from hident.estimators.convergence import Unconverged, settle
-from hident.numerics.gauss_newton import gauss_newton
+from hident.numerics.gauss_newton import Minima, gauss_newton_stack
 from hident.numerics.least_squares import Factorisation
-from hident.numerics.subspace_trust_region import subspace_trust_region
+from hident.numerics.stacks import applied, dots
+from hident.numerics.subspace_trust_region import Reached, subspace_trust_region
 from hident.records import Estimate, Record
 
 _SAME = 1e-10
@@ -52,23 +52,24 @@ class Solution:
 
 
 def jacobian(r: Array, b: Array, a: Array) -> Array:
-    """The derivative (rows, n + m) of r vec(b a') by b (n,) and a (m,), for ``r`` (rows, n m)."""
-    blocks = r.reshape(len(r), len(a), len(b))
-    return np.hstack([np.einsum("kji,j->ki", blocks, a), np.einsum("kji,i->kj", blocks, b)])
+    """The derivatives (..., rows, n + m) of r vec(b a') by b (..., n) and a (..., m); r has (rows, n m)."""
+    blocks = r.reshape(len(r), a.shape[-1], b.shape[-1])
+    by_b, by_a = np.einsum("kji,...j->...ki", blocks, a), np.einsum("kji,...i->...kj", blocks, b)
+    return np.concatenate([by_b, by_a], axis=-1)
 
 
 def complement(vector: Array) -> Array:
-    """An orthonormal basis (k, k - 1) of what is orthogonal to ``vector`` (k,)."""
-    return np.linalg.qr(vector[:, None], mode="complete").Q[:, 1:]
+    """An orthonormal basis (..., k, k - 1) of what is orthogonal to ``vector`` (..., k)."""
+    return np.linalg.qr(vector[..., None], mode="complete").Q[..., 1:]
 
 
 def covariance_root(regression: Regression, b: Array, a: Array) -> Array:
-    """A root (n + m, n + m - 1) of the Cramer-Rao bound of (b, a) with b of length one.
+    """A root (..., n + m, n + m - 1) of the Cramer-Rao bound of (b, a) with b (..., n) of length one.
 
     The noise is Gaussian with covariance W^-1; the bound is the root times its transpose. It is also the
     asymptotic covariance of the weighted nonlinear least squares estimate.
     """
-    tangent = complement(np.concatenate([b, np.zeros_like(a)]))
+    tangent = complement(np.concatenate([b, np.zeros_like(a)], axis=-1))
     derivative = jacobian(regression.r, b, a) @ tangent
     return np.asarray(tangent @ Factorisation.of(derivative).inverse_root)
 
@@ -113,17 +114,33 @@ def bilinear_least_squares(
     estimate was never one where signal and noise have equal power, and 8 times where the noise has ten times
     that of the signal.
     """
-    problem = _Problem(regression.r, regression.projected(y), normalise, _shortest)
-    found = gauss_newton(
-        problem.at(b, a),
-        problem.moved,
-        lambda point, length: length <= tolerance * float(np.linalg.norm(problem.z - point.residuals)),
-        max_iterations=max_iterations,
-        # Losses closer than this differ by rounding only.
-        slack=1e-14 * float(problem.z @ problem.z),
-        step_at_rest=True,
-    )
-    return Solution(found.point.b, found.point.a, found.iterations, found.status)
+    options = {"tolerance": tolerance, "max_iterations": max_iterations, "normalise": normalise}
+    [found] = gauss_newton_solutions(regression, y[None], b[None], a[None], **options)
+    return found
+
+
+def gauss_newton_solutions(
+    regression: Regression,
+    y: Array,
+    b: Array,
+    a: Array,
+    *,
+    tolerance: float = 1e-12,
+    max_iterations: int = 200,
+    normalise: bool = True,
+) -> list[Solution]:
+    """:func:`bilinear_least_squares` for T outputs ``y`` (T, rows), from ``b`` (T, n) and ``a`` (T, m)."""
+    problem = _Problem(regression.r, normalise, _shortest)
+    start = problem.at(regression.projected(y), b, a)
+
+    def rests(points: _Points, change: Array) -> Flags:
+        model = points.z - points.residuals
+        return np.asarray(change <= tolerance * np.sqrt(dots(model, model)))
+
+    # Losses closer than this differ by rounding only.
+    slack = 1e-14 * dots(start.z, start.z)
+    found = gauss_newton_stack(start, problem.moved, rests, max_iterations=max_iterations, slack=slack)
+    return _solutions(found)
 
 
 def bilinear_trust_region(
@@ -147,24 +164,44 @@ def bilinear_trust_region(
     MaxIter 400, TolPCG 0.1, MaxPCGIter max(1, floor((n + m)/2)), PrecondBandWidth 0) it makes the steps of
     that function, to the digits that Wang, Zhang, Ljung 2009 print in Table 1, column 3.
     """
-    problem = _Problem(regression.r, regression.projected(y), normalise, _all)
-    found = subspace_trust_region(
-        problem.at(b, a), problem.moved, tolerance=tolerance, max_iterations=max_iterations
+    options = {"tolerance": tolerance, "max_iterations": max_iterations, "normalise": normalise}
+    [found] = trust_region_solutions(regression, y[None], b[None], a[None], **options)
+    return found
+
+
+def trust_region_solutions(
+    regression: Regression,
+    y: Array,
+    b: Array,
+    a: Array,
+    *,
+    tolerance: float = 1e-6,
+    max_iterations: int = 400,
+    normalise: bool = True,
+) -> list[Solution]:
+    """:func:`bilinear_trust_region` for T outputs ``y`` (T, rows), from ``b`` (T, n) and ``a`` (T, m)."""
+    problem = _Problem(regression.r, normalise, _all)
+    start = problem.at(regression.projected(y), b, a)
+    return _solutions(
+        subspace_trust_region(start, problem.moved, tolerance=tolerance, max_iterations=max_iterations)
     )
-    return Solution(found.point.b, found.point.a, found.iterations, found.status)
 
 
-def excess(regression: Regression, y: Array, found: Solution, first: tuple[Array, Array]) -> float:
-    """The loss of ``found`` over that of the minimum found from b and a of ``first``, less one.
+def _solutions(found: Minima[_Points] | Reached[_Points]) -> list[Solution]:
+    ends = zip(found.point.b, found.point.a, found.iterations.tolist(), found.status, strict=True)
+    return [Solution(*end) for end in ends]
+
+
+def excess(regression: Regression, y: Array, found: Solution, least: Solution) -> float:
+    """The loss of ``found`` over that of the minimum ``least``, less one.
 
     It is zero where the two outputs are one to 10 digits.
 
     Raises
     ------
     EstimationError
-        If the iterations from ``first`` do not converge.
+        If the iterations that gave ``least`` have not converged.
     """
-    least = bilinear_least_squares(regression, y, *first)
     settle(least.converged, least.iterations, "fail")
     r, z = regression.r, regression.projected(y)
     product = np.outer(least.a, least.b).ravel()
@@ -177,12 +214,13 @@ def excess(regression: Regression, y: Array, found: Solution, first: tuple[Array
 
 
 def _shortest(b: Array, a: Array) -> Array:
-    """The directions (n + m, n + m - 1) across the one that leaves b a' as it is: b grows, a shrinks."""
-    return complement(np.concatenate([b, -a]))
+    """The directions (T, n + m, n + m - 1) across the one that leaves b a' as it is: b grows, a shrinks."""
+    return complement(np.concatenate([b, -a], axis=-1))
 
 
 def _all(b: Array, a: Array) -> Array:
-    return np.eye(len(b) + len(a))
+    free = b.shape[-1] + a.shape[-1]
+    return np.tile(np.eye(free), (len(b), 1, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,24 +228,27 @@ class _Problem:
     """The residuals z - r vec(b a'); ``free`` gives the directions of the steps where b is not held."""
 
     r: Array
-    z: Array
     normalise: bool
     free: Callable[[Array, Array], Array]
 
-    def at(self, b: Array, a: Array) -> _Point:
+    def at(self, z: Array, b: Array, a: Array) -> _Points:
         # Held, b moves across assumption 1's normal.
-        tangent = complement(np.append(b, np.zeros_like(a))) if self.normalise else self.free(b, a)
-        residuals = self.z - self.r @ np.outer(a, b).ravel()
-        return _Point(b, a, residuals, jacobian(self.r, b, a) @ tangent, tangent)
+        held = np.concatenate([b, np.zeros_like(a)], axis=-1) if self.normalise else None
+        tangent = self.free(b, a) if held is None else complement(held)
+        product = (a[:, :, None] * b[:, None, :]).reshape(len(b), -1)
+        return _Points(z, b, a, z - applied(self.r, product), jacobian(self.r, b, a) @ tangent, tangent)
 
-    def moved(self, point: _Point, step: Array) -> _Point:
-        by_b, by_a = np.split(point.tangent @ step, [len(point.b)])
-        new = point.b + by_b, point.a + by_a
-        return self.at(*(normalised(*new) if self.normalise else new))
+    def moved(self, points: _Points, step: Array) -> _Points:
+        by_b, by_a = np.split(applied(points.tangent, step), [points.b.shape[-1]], axis=-1)
+        new = points.b + by_b, points.a + by_a
+        return self.at(points.z, *(normalised(*new) if self.normalise else new))
 
 
 @dataclass(frozen=True, eq=False)
-class _Point:
+class _Points:
+    """Models of T outputs; each array begins with the axis of these."""
+
+    z: Array
     b: Array
     a: Array
     residuals: Array
@@ -215,8 +256,8 @@ class _Point:
     tangent: Array
 
     @property
-    def loss(self) -> float:
-        return float(self.residuals @ self.residuals)
+    def loss(self) -> Array:
+        return dots(self.residuals, self.residuals)
 
 
 class Stop(Spec):
@@ -265,45 +306,64 @@ class BilinearLeastSquares(WeightedBilinearSpec):
         return frozenset({"nonlinearity", "linear"} if self.start == "truth" else ())
 
     def solved(
-        self, weighted: Weighted, y: Array, record: Record, rng: np.random.Generator | None = None
+        self,
+        weighted: Weighted,
+        y: Array,
+        record: Record,
+        rngs: Sequence[np.random.Generator] | None = None,
     ) -> list[Estimate | EstimationError]:
         first = two_stage(weighted.regression, y)
-        two_stages = [*zip(first.b, first.a, strict=True)]
-        starts: Iterable[tuple[Array, Array]] = two_stages
+        b, a = first.b, first.a
         if self.start == "truth":
-            starts = repeat(self.true_parameters(record), len(y))
+            true_b, true_a = self.true_parameters(record)
+            b, a = np.tile(true_b, (len(y), 1)), np.tile(true_a, (len(y), 1))
         elif self.start == "random":
-            starts = [self._drawn(rng) for _ in y]
-        return [self._solved(weighted, *of) for of in zip(y, starts, two_stages, strict=True)]
+            assert rngs is not None  # as it draws
+            b, a = map(np.stack, zip(*map(self._drawn, rngs), strict=True))
+        stop = {} if self.stop is None else self.stop.model_dump()
+        solve = gauss_newton_solutions if self.solver == "gauss_newton" else trust_region_solutions
+        solutions = solve(weighted.regression, y, b, a, normalise=self.normalise, **stop)
+        least: list[Solution | None] = [None] * len(y)
+        if self.excess:
+            least = [*gauss_newton_solutions(weighted.regression, y, first.b, first.a)]
+        ends = [self._settled(weighted, *of) for of in zip(y, solutions, least, strict=True)]
+        left = [i for i, end in enumerate(ends) if not isinstance(end, EstimationError)]
+        if left:
+            kept = self._kept(
+                weighted, record.dt, y[left], [solutions[i] for i in left], [ends[i] for i in left]
+            )
+            for i, estimate in zip(left, kept, strict=True):
+                ends[i] = estimate
+        return ends
 
-    def _drawn(self, rng: np.random.Generator | None) -> tuple[Array, Array]:
-        assert rng is not None  # as it draws
+    def _drawn(self, rng: np.random.Generator) -> tuple[Array, Array]:
         b, a = rng.standard_normal(self.lags), rng.standard_normal(len(self.functions()))
         return normalised(b, a) if self.normalise else (b, a)
 
-    def _solved(
-        self, weighted: Weighted, y: Array, start: tuple[Array, Array], first: tuple[Array, Array]
-    ) -> Estimate | EstimationError:
-        """The estimate from the output ``y`` (rows,) of one trial, whose two-stage estimate is ``first``."""
-        stop = {} if self.stop is None else self.stop.model_dump()
-        solve = bilinear_least_squares if self.solver == "gauss_newton" else bilinear_trust_region
+    def _settled(
+        self, weighted: Weighted, y: Array, found: Solution, least: Solution | None
+    ) -> tuple[float, ...] | EstimationError:
+        """The values that the end of the iterations gives; ``least`` is the minimum, if it is asked for."""
         try:
-            found = solve(weighted.regression, y, *start, normalise=self.normalise, **stop)
             settle(found.converged, found.iterations, self.unconverged)
-            others: list[float] = [found.iterations, found.converged]
-            if self.excess:
-                others.append(excess(weighted.regression, y, found, first))
+            more = (excess(weighted.regression, y, found, least),) if least else ()
         except EstimationError as error:
             return error
-        errors = self._standard_errors(weighted, y, *normalised(found.b, found.a))
-        [estimate] = self.estimates(
-            weighted,
-            y[None],
-            (found.b[None], found.a[None]),
-            (errors[0][None], errors[1][None]),
-            tuple(map(float, others)),
-        )
-        return replace(estimate, details={"status": found.status})
+        return (float(found.iterations), float(found.converged), *more)
+
+    def _kept(
+        self,
+        weighted: Weighted,
+        dt: float | None,
+        y: Array,
+        found: Sequence[Solution],
+        others: Sequence[tuple[float, ...]],
+    ) -> list[Estimate]:
+        """The estimates from the outputs ``y`` (T, rows) of T trials."""
+        b, a = (np.stack(of) for of in ([one.b for one in found], [one.a for one in found]))
+        errors = self._standard_errors(weighted, y, *normalised(b, a))
+        details = [{"status": one.status} for one in found]
+        return self.estimates(weighted, dt, y, (b, a), errors, others, details)
 
     def _standard_errors(self, weighted: Weighted, y: Array, b: Array, a: Array) -> tuple[Array, Array]:
         """Those of the normalised parameters; they assume white noise unless its covariance is the weight."""
@@ -311,7 +371,7 @@ class BilinearLeastSquares(WeightedBilinearSpec):
         if self.weight == "inverse_gram" or isinstance(self.weight, InverseGram):
             # Theorems 2 and 3: the solution is the two-stage estimate without that weighting.
             return white.standard_errors(b, a, white.variance(y, white.theta(y)))
-        spare = len(y) - len(b) - len(a) + 1
-        std = np.sqrt(loss(white, y, b, a, white.root) / spare)
-        errors = std * np.linalg.norm(covariance_root(white, b, a), axis=1)
-        return errors[: len(b)], errors[len(b) :]
+        n, spare = b.shape[-1], y.shape[-1] - b.shape[-1] - a.shape[-1] + 1
+        std = np.sqrt(loss(white, y, b, a, white.root) / spare)[:, None]
+        errors = std * np.linalg.norm(covariance_root(white, b, a), axis=-1)
+        return errors[:, :n], errors[:, n:]

@@ -5,6 +5,7 @@ Symbols are in :mod:`hident.estimators.bilinear_models.bilinear`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Self
@@ -12,17 +13,17 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from hident.arrays import Array
+from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Of
 from hident.errors import EstimationError
-from hident.estimators.base import AtOneInterval, require_finite, require_varying
+from hident.estimators.base import AtOneInterval, require_finite, require_varying, varies
 from hident.estimators.bilinear_models.bilinear import Regression, normalised, regressors
 from hident.estimators.discrete_response import at_step
 from hident.estimators.normalisation import Normalisation, unit_length
 from hident.linear_blocks import TransferFunction
 from hident.numerics.least_squares import Factorisation
 from hident.numerics.parts import Parts, following, in_each, longer_than
-from hident.records import Estimate, Record
+from hident.records import Estimate, Record, Response, needed
 from hident.systems.base import NonlinearitySpec
 from hident.systems.nonlinearity import Power
 
@@ -99,6 +100,14 @@ class LaggedSpec(AtOneInterval):
         require_varying(record.y, "output")
         return in_each(self._long_enough(record), lambda y: y[self.first :], record.y)
 
+    def all_outputs(self, records: Sequence[Record]) -> Array:
+        """The outputs (T, rows) of T records of the same experiments, as :meth:`outputs` gives each."""
+        y = np.stack([record.y for record in records])
+        if not np.all(np.isfinite(y)) or not np.all(varies(y)):
+            for record in records:
+                self.outputs(record)
+        return in_each(self._long_enough(records[0]), lambda y: y[:, self.first :], y, axis=1)
+
     def design(self, record: Record) -> tuple[Array, Parts]:
         """The regressors Phi (rows, n m), and where the rows of each experiment stand.
 
@@ -137,11 +146,13 @@ class LaggedSpec(AtOneInterval):
 
     def responding(self, estimate: Estimate, dt: float | None) -> Estimate:
         """The estimate with the response of its two blocks, from rest."""
-        nonlinearity, linear = estimate.nonlinearity, estimate.linear
-        assert nonlinearity is not None
-        assert linear is not None
-        response = at_step(lambda u: linear.filter(nonlinearity(u)), 1.0 if dt is None else dt)
-        return replace(estimate, response=response)
+        nonlinearity, linear = needed(estimate.nonlinearity), needed(estimate.linear)
+        return replace(estimate, response=self.response(nonlinearity, linear, dt))
+
+    @staticmethod
+    def response(nonlinearity: Characteristic, linear: TransferFunction, dt: float | None) -> Response:
+        """The response of the two blocks, from rest."""
+        return at_step(lambda u: linear.filter(nonlinearity(u)), 1.0 if dt is None else dt)
 
 
 class BilinearSpec(LaggedSpec):

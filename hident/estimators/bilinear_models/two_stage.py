@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import repeat
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -225,62 +226,68 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
         return [*with_errors(self.parameters()), "loss", *self.noise_names()]
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
-        [found] = self._fitted([record], rng)
+        [found] = self.fit_many([record], None if rng is None else [rng])
         if isinstance(found, EstimationError):
             raise found
         return found
 
-    def fit_many(self, records: Sequence[Record]) -> list[Estimate | EstimationError]:
-        """Records of one input share the regressors and their weights, unless the output decides these."""
-        return self._fitted(records)
-
-    def _fitted(
-        self, records: Sequence[Record], rng: np.random.Generator | None = None
+    def fit_many(
+        self, records: Sequence[Record], rngs: Sequence[np.random.Generator] | None = None
     ) -> list[Estimate | EstimationError]:
+        """Records of one input share the regressors and their weights, unless the output decides these."""
         first = records[0]
         apart = isinstance(self.weight, EstimatedAr) or any(
             record.u is not first.u or record.experiments != first.experiments for record in records
         )
         if apart and len(records) > 1:
-            return [found for record in records for found in self._fitted([record])]
-        y = np.stack([self.outputs(record) for record in records])
+            own = [None] * len(records) if rngs is None else [[rng] for rng in rngs]
+            pairs = zip(records, own, strict=True)
+            return [found for record, of in pairs for found in self.fit_many([record], of)]
+        y = self.all_outputs(records)
         phi, parts = self.design(first)
-        found = self.solved(self.weighted(phi, y[0], parts), y, first, rng)
-        return [self.responding(one, first.dt) if isinstance(one, Estimate) else one for one in found]
+        return self.solved(self.weighted(phi, y[0], parts), y, first, rngs)
 
     def solved(
-        self, weighted: Weighted, y: Array, record: Record, rng: np.random.Generator | None = None
+        self,
+        weighted: Weighted,
+        y: Array,
+        record: Record,
+        rngs: Sequence[np.random.Generator] | None = None,
     ) -> list[Estimate | EstimationError]:
         """The estimates from the outputs ``y`` (T, rows) of T trials with the input of ``record``.
 
-        ``rng`` is the stream of the one trial of an estimator that draws.
+        ``rngs`` are the streams of the trials, of an estimator that draws.
         """
         raise NotImplementedError
 
     def estimates(
         self,
         weighted: Weighted,
+        dt: float | None,
         y: Array,
         parameters: tuple[Array, Array],
         errors: tuple[Array, Array],
-        others: tuple[float, ...] = (),
+        others: Sequence[tuple[float, ...]] = (),
+        details: Sequence[Mapping[str, Any]] = (),
     ) -> list[Estimate]:
-        """Those of b (T, n) and a (T, m), with standard ``errors``, from the outputs ``y`` (T, rows).
+        """Those of b (T, n) and a (T, m), with standard ``errors``, from outputs ``y`` (T, rows) at ``dt``.
 
-        ``others`` are the values that a subclass names after the common ones.
+        ``others`` are the values of each trial that a subclass names after the common ones.
         """
         b, a = parameters
         least = loss(weighted.regression, y, b, a, weighted.regression.root)
-        names, others = self.names(), (*map(float, weighted.order), *others)
+        names, order = self.names(), tuple(map(float, weighted.order))
         rows = np.concatenate([b, a, *errors, least[:, None]], axis=1).tolist()
-        return [
-            Estimate(
-                nonlinearity=self.nonlinearity(a_of_one),
-                linear=self.linear(b_of_one),
-                values=dict(zip(names, (*row, *others), strict=True)),
+        more, details = others or repeat((), len(y)), details or repeat({}, len(y))
+        found = []
+        for of_b, of_a, row, of_trial, detail in zip(b, a, rows, more, details, strict=True):
+            nonlinearity, linear = self.nonlinearity(of_a), self.linear(of_b)
+            values = dict(zip(names, (*row, *order, *of_trial), strict=True))
+            response = self.response(nonlinearity, linear, dt)
+            found.append(
+                Estimate(nonlinearity, linear=linear, response=response, values=values, details=detail)
             )
-            for b_of_one, a_of_one, row in zip(b, a, rows, strict=True)
-        ]
+        return found
 
 
 @component("estimator", "two_stage", source="Wang, Zhang, Ljung 2009, eq. (12)-(14), (17), section 3.3")
@@ -298,9 +305,13 @@ class TwoStage(WeightedBilinearSpec):
     """
 
     def solved(
-        self, weighted: Weighted, y: Array, record: Record, rng: np.random.Generator | None = None
+        self,
+        weighted: Weighted,
+        y: Array,
+        record: Record,
+        rngs: Sequence[np.random.Generator] | None = None,
     ) -> list[Estimate | EstimationError]:
         found = two_stage(weighted.regression, y)
         variance = weighted.white.variance(y, weighted.white.theta(y))
         errors = weighted.white.standard_errors(found.b, found.a, variance)
-        return [*self.estimates(weighted, y, (found.b, found.a), errors)]
+        return [*self.estimates(weighted, record.dt, y, (found.b, found.a), errors)]
