@@ -282,19 +282,19 @@ class NonparametricSpec(EstimatorSpec):
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         self.require_experiments(record)
-        require_varying(record.u, "input")
-        dynamics, samples = Estimate(), record
-        if self.prefilter is not None:
-            make = partial(_filtered, self.prefilter, record, rng)
-            dynamics, samples = make() if self.prefilter.draws() else record.once(self._shared, make)
-            plain = self.model_copy(update={"prefilter": None})
-            dynamics = replace(dynamics, unfiltered=partial(plain.fit, record))
+        record.once("its input varies", lambda: require_varying(record.u, "input"))
+        if self.prefilter is None:
+            regression = self.regression(record)
+            left_out = EachLeftOut(regression, record, self.known_point)
+            return Estimate(self._anchored(regression), left_out, values=self.values_of(regression))
+        make = partial(_filtered, self.prefilter, record, rng)
+        dynamics, samples = make() if self.prefilter.draws() else record.once(self._shared, make)
         regression = self.regression(samples)
-        left_out = EachLeftOut(regression, samples, self.known_point)
         return replace(
             dynamics,
             nonlinearity=self._anchored(regression),
-            left_out=left_out,
+            left_out=EachLeftOut(regression, samples, self.known_point),
+            unfiltered=lambda: self.model_copy(update={"prefilter": None}).fit(record),
             values={**dynamics.values, **self.values_of(regression)},
         )
 
