@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import fields, replace
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -64,8 +64,9 @@ def put(stack: S, at: Flags | Index, others: S) -> None:
         getattr(stack, name)[at] = getattr(others, name)
 
 
-def _each(stack: Any, make: Callable[[Any], Any]) -> Any:
-    return replace(stack, **{name: make(getattr(stack, name)) for name in _names(stack)})
+def _each(stack: S, make: Callable[[Any], Any]) -> S:
+    made: S = replace(cast(Any, stack), **{name: make(getattr(stack, name)) for name in _names(stack)})
+    return made
 
 
 def _names(stack: Any) -> list[str]:

@@ -26,7 +26,7 @@ from typing import Generic, Literal
 
 import numpy as np
 
-from hident.arrays import Array, Index
+from hident.arrays import Array, Flags, Index
 from hident.numerics.gauss_newton import P
 from hident.numerics.least_squares import lengths
 from hident.numerics.stacks import applied, chosen, copied, dots, put
@@ -102,7 +102,7 @@ def subspace_trust_region(
     status: list[Status] = ["exhausted"] * len(rows)
     radii, rejected = np.full(len(rows), radius), np.zeros(len(rows), dtype=int)
 
-    def ends(which: Array, how: Status, after: int) -> None:
+    def ends(which: Flags, how: Status, after: int) -> None:
         put(found, rows[which], chosen(point, which))
         iterations[rows[which]] = after
         for row in rows[which].tolist():
@@ -148,37 +148,42 @@ def conjugate_gradients(hessian: Array, gradient: Array, most: int) -> Array:
 
     ``hessian`` (T, P, P) is positive semidefinite, ``gradient`` has the shape (T, P).
     """
-    steps = np.zeros_like(gradient)
-    rows, step, residual, scale = np.arange(len(gradient)), steps, -gradient, lengths(hessian)
-    scaled = residual / scale
+    steps, rows = np.zeros_like(gradient), np.arange(len(gradient))
+    scale = lengths(hessian)
+    scaled = -gradient / scale
     enough = _ENOUGH * np.sqrt(dots(scaled, scaled))
-    direction, product = scaled, dots(residual, scaled)
+    at = _Conjugate(hessian, scale, enough, steps, -gradient, scaled, dots(-gradient, scaled))
     for _ in range(most):
-        curved = applied(hessian, direction)
-        curvature = dots(direction, curved)
-        if np.any(ends := curvature <= 0.0):
-            left = np.flatnonzero(~ends)
-            rows, hessian, scale, step, residual, enough, direction, product, curved, curvature = (
-                of[left]
-                for of in (
-                    rows, hessian, scale, step, residual, enough, direction, product, curved, curvature
-                )
-            )  # fmt: skip
-        factor = (product / curvature)[:, None]
-        step = step + factor * direction
-        residual = residual - factor * curved
-        steps[rows] = step
-        scaled = residual / scale
-        if np.any(ends := np.sqrt(dots(scaled, scaled)) <= enough):
-            left = np.flatnonzero(~ends)
-            rows, hessian, scale, step, residual, enough, direction, product, scaled = (
-                of[left] for of in (rows, hessian, scale, step, residual, enough, direction, product, scaled)
-            )
+        curved = applied(at.hessian, at.direction)
+        curvature = dots(at.direction, curved)
+        if np.any(flat := curvature <= 0.0):
+            at, rows, curved, curvature = chosen(at, ~flat), rows[~flat], curved[~flat], curvature[~flat]
+        factor = (at.product / curvature)[:, None]
+        steps[rows] = step = at.step + factor * at.direction
+        residual = at.residual - factor * curved
+        scaled = residual / at.scale
+        product = dots(residual, scaled)
+        direction = scaled + (product / at.product)[:, None] * at.direction
+        going = ~(np.sqrt(dots(scaled, scaled)) <= at.enough)
+        at = _Conjugate(at.hessian, at.scale, at.enough, step, residual, direction, product)
+        if not np.all(going):
+            at, rows = chosen(at, going), rows[going]
         if not len(rows):
             break
-        product, last = dots(residual, scaled), product
-        direction = scaled + (product / last)[:, None] * direction
     return steps
+
+
+@dataclass(frozen=True, eq=False)
+class _Conjugate:
+    """Where the conjugate gradients of some problems stand."""
+
+    hessian: Array
+    scale: Array
+    enough: Array
+    step: Array
+    residual: Array
+    direction: Array
+    product: Array
 
 
 def _steps(hessian: Array, gradient: Array, radii: Array) -> Array:

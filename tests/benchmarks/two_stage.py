@@ -4,31 +4,34 @@ from __future__ import annotations
 
 import importlib
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
 from hident import plugins
 from hident.arrays import Array
 from hident.engine.experiment import load
-from hident.engine.trial import Data, generate
+from hident.engine.trial import Data, Job, generate, run_trials
 from hident.engine.work import pin_blas
+from hident.estimators.base import is_batched
 from hident.estimators.bilinear_models.bilinear import Regression, regressors
 from hident.estimators.bilinear_models.bilinear_least_squares import BilinearLeastSquares
 from hident.estimators.bilinear_models.known_basis import BilinearSpec
 from hident.estimators.bilinear_models.two_stage import TwoStage, TwoStageFit, two_stage
 from hident.records import Record
 from hident.signals.matlab5 import normals
-from tests.benchmarks.timing import figure, interleaved, show
+from tests.benchmarks.timing import figure, in_turns, interleaved, least, show
 
 _CONFIG = """
 version: 1
@@ -58,12 +61,15 @@ _ROUNDS = 15
 _CHUNK = 1000
 _COMPARED = 100
 _TURNS = 3
+_TABLE = Path("configs/wang_table1.yaml")
+_OF_TABLE = (100, 10**4)
 
 
 def main() -> None:
     pin_blas()
     data, spec = example()
     command(data, spec)
+    table()
     speed(data, spec)
     packages(data, spec)
 
@@ -72,7 +78,7 @@ def command(data: Data, spec: TwoStage) -> None:
     """Time and peak memory of the command line against the number of trials, and the floor of its numbers."""
     at_least = interleaved({"floor": lambda: floor(data, spec)}, _ROUNDS)["floor"] / _CHUNK
     found = [run(trials) for trials in _RUNS]
-    fewest, least = _RUNS[0], found[0][1]
+    fewest, smallest = _RUNS[0], found[0][1]
     for trials, (taken, peak) in zip(_RUNS, found, strict=True):
         of = f"hident run, two-stage algorithm, {trials:.0e} trials"
         figure(f"{of}: over the floor", [taken / trials / at_least], "3" if trials == 10**4 else "")
@@ -87,7 +93,7 @@ def command(data: Data, spec: TwoStage) -> None:
                 f"{trials / taken:.0f}",
                 f"{taken / trials / at_least:.1f}",
                 f"{peak / 2**20:.0f}",
-                f"{(peak - least) / (trials - fewest):.0f}" if trials > fewest else "",
+                f"{(peak - smallest) / (trials - fewest):.0f}" if trials > fewest else "",
             ]
             for trials, (taken, peak) in zip(_RUNS, found, strict=True)
         ],
@@ -102,9 +108,15 @@ def command(data: Data, spec: TwoStage) -> None:
 def run(trials: int) -> tuple[float, int]:
     """Seconds and peak bytes of a run with an empty store."""
     with written() as config:
+        taken, _, peak = run_of(config, trials)
+    return taken, peak
+
+
+def run_of(config: Path, trials: int) -> tuple[float, float, int]:
+    """Seconds, seconds of the processor and peak bytes of a run of a configuration with an empty store."""
+    with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "hident", "run", str(config), "--quiet", "--jobs", "1"]
-        command += ["--trials", str(trials)]
-        command += ["--out", str(config.parent / "out"), "--store", str(config.parent / "store")]
+        command += ["--trials", str(trials), "--out", f"{folder}/out", "--store", f"{folder}/store"]
         start = time.perf_counter()
         child = subprocess.Popen(command)
         _, status, usage = os.wait4(child.pid, 0)
@@ -112,7 +124,74 @@ def run(trials: int) -> tuple[float, int]:
     child.returncode = os.waitstatus_to_exitcode(status)
     if child.returncode:
         raise subprocess.CalledProcessError(child.returncode, command)
-    return taken, usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    processor = usage.ru_utime + usage.ru_stime
+    return taken, processor, usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def table() -> None:
+    """wang_table1 with all its columns: its trials, and whole runs, over the floor of all of them."""
+    plan = load(_TABLE, ())
+    data, jobs = plan.units[0].data, [Job(unit.estimator, ()) for unit in plan.units]
+    scored = [Job(unit.estimator, tuple(unit.metrics.values())) for unit in plan.units]
+    draws = range(1, _CHUNK + 1)
+    outputs = noise_free(data).y + normals(draws, data.samples)
+    calls = [call for job in jobs for call in library_calls(data, job, outputs)]
+    taken = least(
+        {
+            "trials": lambda: run_trials(data, scored, [range(_CHUNK)] * len(jobs), plan.seed),
+            "floor": lambda: (normals(draws, data.samples), [call() for call in calls]),
+        },
+        _ROUNDS,
+    )
+    at_least = taken["floor"] / _CHUNK
+    fewest, most = _OF_TABLE
+    found = in_turns({str(trials): partial(run_of, _TABLE, trials) for trials in _OF_TABLE}, _TURNS)
+    whole, small = ([processor for _, processor, _ in found[str(trials)]] for trials in (most, fewest))
+    each = [(one - other) / (most - fewest) for one, other in zip(whole, small, strict=True)]
+    figure("wang_table1, trials of a chunk: over the floor", taken.ratios("trials", "floor"), "3")
+    figure("wang_table1, each further trial of hident run: over the floor", [one / at_least for one in each])
+    of_run = [one / most / at_least for one in whole]
+    figure(f"hident run wang_table1, {most:.0e} trials: over the floor", of_run, "3")
+    show(
+        "wang_table1, four estimators, one process: microseconds of the processor for a trial",
+        ("floor", "in a chunk", "in a run", f"run of {most:.0e}, all", f"seconds of a run of {fewest}"),
+        [
+            [
+                *(f"{1e6 * one:.1f}" for one in (at_least, taken["trials"] / _CHUNK)),
+                *(f"{1e6 * statistics.median(one):.1f}" for one in (each, [one / most for one in whole])),
+                f"{statistics.median(small):.2f}",
+            ]
+        ],
+        (
+            "floor: the draws, and the factorisations and products of numpy that all four columns make.",
+            "in a run: with store, tables and trials.csv.xz, start-up and figures taken away.",
+            "aim: at most 3 floors",
+        ),
+    )
+
+
+def library_calls(data: Data, job: Job, outputs: Array) -> list[Callable[[], object]]:
+    """The calls of numpy's factorisations and products that the estimates make, to be made again.
+
+    Products that are written ``@`` and what is elementwise are not among them.
+    """
+    exact = noise_free(data)
+    records = [exact.with_signals(exact.u, y) for y in outputs]
+    calls: list[Callable[[], object]] = []
+
+    def remembered(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            calls.append(partial(function, *arguments, **options))
+            return function(*arguments, **options)
+
+        return call
+
+    with ExitStack() as stack:
+        for module, name in ((np, "matmul"), *((np.linalg, name) for name in ("qr", "svd", "eigh", "solve"))):
+            stack.enter_context(mock.patch.object(module, name, remembered(getattr(module, name))))
+        assert is_batched(job.estimator)
+        job.estimator.fit_many(records)
+    return calls
 
 
 def floor(data: Data, spec: TwoStage) -> TwoStageFit:
@@ -177,14 +256,14 @@ def row(spec: TwoStage, basis: Array, y: Array) -> list[str]:
         },
         _ROUNDS,
     )
-    ours, least, loop = taken["hident"], taken["floor"], taken["plain"]
+    ours, at_least, loop = taken["hident"], taken["floor"], taken["plain"]
     of = f"two-stage algorithm, {len(y):.0e} outputs at once"
     figure(f"{of}: over the floor", taken.ratios("hident", "floor"), "3" if len(y) >= 10**4 else "")
     figure(f"{of}: plain way over hident", taken.ratios("plain", "hident"))
     return [
         f"{len(y):.0e}",
         *(f"{len(y) / time:.2e}" for time in taken.values()),
-        f"{ours / least:.2f}",
+        f"{ours / at_least:.2f}",
         f"{loop / ours:.0f}",
     ]
 

@@ -193,7 +193,7 @@ def test_early_stop():
 def test_without_convergence(monkeypatch):
     x, _, y = noisy(9)
     monkeypatch.setattr(
-        module, "bilinear_least_squares", lambda *_, **__: module.Solution(B, A, 200, "exhausted")
+        module, "gauss_newton_solutions", lambda *_, **__: [module.Solution(B, A, 200, "exhausted")]
     )
     message = r"^the iteration has not converged in 200 iterations: allow"
     with pytest.raises(EstimationError, match=message):
@@ -261,7 +261,7 @@ def test_a_random_start_is_of_the_estimators_own_stream():
     x, _, y = noisy(13)
     estimator = spec(start="random", stop={"max_iterations": 1}, unconverged="keep")
     assert estimator.draws()
-    assert not is_batched(estimator)
+    assert is_batched(estimator)
     assert is_batched(spec(start="truth"))
     one, same, other = (
         estimator.fit(record_of(x, y), np.random.default_rng(seed)).values["loss"] for seed in (1, 1, 2)

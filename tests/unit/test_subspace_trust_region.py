@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from hident.arrays import Array
-from hident.numerics.stacks import chosen, copied
+from hident.numerics.stacks import copied
 from hident.numerics.subspace_trust_region import (
     conjugate_gradients,
     least_in_ball,
@@ -53,6 +53,9 @@ class Models:
     def loss(self):
         return np.sum(self.residuals**2, axis=-1)
 
+    def each(self):
+        return [Models(*one) for one in zip(self.p, self.residuals, self.jacobian, strict=True)]
+
 
 @dataclass(frozen=True, eq=False)
 class End:
@@ -73,7 +76,8 @@ class Walk:
 
     def moved(self, models, steps):
         new = Models.at(self.of, models.p + steps)
-        self.steps.append((chosen(models, 0), steps[0], copied(chosen(new, 0))))
+        before, after = models.each()[0], copied(new).each()[0]
+        self.steps.append((before, steps[0], after))
         return new
 
     def minimum(self, start, **fields):

@@ -114,8 +114,15 @@ def bilinear_least_squares(
     estimate was never one where signal and noise have equal power, and 8 times where the noise has ten times
     that of the signal.
     """
-    options = {"tolerance": tolerance, "max_iterations": max_iterations, "normalise": normalise}
-    [found] = gauss_newton_solutions(regression, y[None], b[None], a[None], **options)
+    [found] = gauss_newton_solutions(
+        regression,
+        y[None],
+        b[None],
+        a[None],
+        tolerance=tolerance,
+        max_iterations=max_iterations,
+        normalise=normalise,
+    )
     return found
 
 
@@ -164,8 +171,15 @@ def bilinear_trust_region(
     MaxIter 400, TolPCG 0.1, MaxPCGIter max(1, floor((n + m)/2)), PrecondBandWidth 0) it makes the steps of
     that function, to the digits that Wang, Zhang, Ljung 2009 print in Table 1, column 3.
     """
-    options = {"tolerance": tolerance, "max_iterations": max_iterations, "normalise": normalise}
-    [found] = trust_region_solutions(regression, y[None], b[None], a[None], **options)
+    [found] = trust_region_solutions(
+        regression,
+        y[None],
+        b[None],
+        a[None],
+        tolerance=tolerance,
+        max_iterations=max_iterations,
+        normalise=normalise,
+    )
     return found
 
 
@@ -323,47 +337,36 @@ class BilinearLeastSquares(WeightedBilinearSpec):
         stop = {} if self.stop is None else self.stop.model_dump()
         solve = gauss_newton_solutions if self.solver == "gauss_newton" else trust_region_solutions
         solutions = solve(weighted.regression, y, b, a, normalise=self.normalise, **stop)
-        least: list[Solution | None] = [None] * len(y)
-        if self.excess:
-            least = [*gauss_newton_solutions(weighted.regression, y, first.b, first.a)]
-        ends = [self._settled(weighted, *of) for of in zip(y, solutions, least, strict=True)]
-        left = [i for i, end in enumerate(ends) if not isinstance(end, EstimationError)]
+        found: dict[int, Estimate | EstimationError] = {}
+        for i, one in enumerate(solutions):
+            try:
+                settle(one.converged, one.iterations, self.unconverged)
+            except EstimationError as error:
+                found[i] = error
+        left = [i for i in range(len(y)) if i not in found]
+        others: dict[int, tuple[float, ...]] = {
+            i: (float(solutions[i].iterations), float(solutions[i].converged)) for i in left
+        }
+        if self.excess and left:
+            minima = gauss_newton_solutions(weighted.regression, y[left], first.b[left], first.a[left])
+            for i, least in zip(left, minima, strict=True):
+                try:
+                    others[i] += (excess(weighted.regression, y[i], solutions[i], least),)
+                except EstimationError as error:
+                    found[i] = error
+            left = [i for i in left if i not in found]
         if left:
-            kept = self._kept(
-                weighted, record.dt, y[left], [solutions[i] for i in left], [ends[i] for i in left]
-            )
-            for i, estimate in zip(left, kept, strict=True):
-                ends[i] = estimate
-        return ends
+            kept = [solutions[i] for i in left]
+            b, a = np.stack([one.b for one in kept]), np.stack([one.a for one in kept])
+            errors = self._standard_errors(weighted, y[left], *normalised(b, a))
+            more, details = [others[i] for i in left], [{"status": one.status} for one in kept]
+            estimates = self.estimates(weighted, record.dt, y[left], (b, a), errors, more, details)
+            found |= dict(zip(left, estimates, strict=True))
+        return [found[i] for i in range(len(y))]
 
     def _drawn(self, rng: np.random.Generator) -> tuple[Array, Array]:
         b, a = rng.standard_normal(self.lags), rng.standard_normal(len(self.functions()))
         return normalised(b, a) if self.normalise else (b, a)
-
-    def _settled(
-        self, weighted: Weighted, y: Array, found: Solution, least: Solution | None
-    ) -> tuple[float, ...] | EstimationError:
-        """The values that the end of the iterations gives; ``least`` is the minimum, if it is asked for."""
-        try:
-            settle(found.converged, found.iterations, self.unconverged)
-            more = (excess(weighted.regression, y, found, least),) if least else ()
-        except EstimationError as error:
-            return error
-        return (float(found.iterations), float(found.converged), *more)
-
-    def _kept(
-        self,
-        weighted: Weighted,
-        dt: float | None,
-        y: Array,
-        found: Sequence[Solution],
-        others: Sequence[tuple[float, ...]],
-    ) -> list[Estimate]:
-        """The estimates from the outputs ``y`` (T, rows) of T trials."""
-        b, a = (np.stack(of) for of in ([one.b for one in found], [one.a for one in found]))
-        errors = self._standard_errors(weighted, y, *normalised(b, a))
-        details = [{"status": one.status} for one in found]
-        return self.estimates(weighted, dt, y, (b, a), errors, others, details)
 
     def _standard_errors(self, weighted: Weighted, y: Array, b: Array, a: Array) -> tuple[Array, Array]:
         """Those of the normalised parameters; they assume white noise unless its covariance is the weight."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import repeat
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -278,9 +277,9 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
         least = loss(weighted.regression, y, b, a, weighted.regression.root)
         names, order = self.names(), tuple(map(float, weighted.order))
         rows = np.concatenate([b, a, *errors, least[:, None]], axis=1).tolist()
-        more, details = others or repeat((), len(y)), details or repeat({}, len(y))
+        each = zip(b, a, rows, others or [()] * len(y), details or [{}] * len(y), strict=True)
         found = []
-        for of_b, of_a, row, of_trial, detail in zip(b, a, rows, more, details, strict=True):
+        for of_b, of_a, row, of_trial, detail in each:
             nonlinearity, linear = self.nonlinearity(of_a), self.linear(of_b)
             values = dict(zip(names, (*row, *order, *of_trial), strict=True))
             response = self.response(nonlinearity, linear, dt)
