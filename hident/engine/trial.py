@@ -386,7 +386,8 @@ def _estimates(
 def _together(
     data: Data, job: Job, estimator: Batched, records: Mapping[int, Record], seed: int
 ) -> dict[int, Estimate | EstimationError]:
-    for record in records.values():
+    # Most have the same experiments.
+    for record in {(id(record.parts), record.dt): record for record in records.values()}.values():
         estimator.require_experiments(record)
     drawn = []
     if job.estimator.draws():

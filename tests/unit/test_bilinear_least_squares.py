@@ -261,8 +261,7 @@ def test_a_random_start_is_of_the_estimators_own_stream():
     x, _, y = noisy(13)
     estimator = spec(start="random", stop={"max_iterations": 1}, unconverged="keep")
     assert estimator.draws()
-    assert is_batched(estimator)
-    assert is_batched(spec(start="truth"))
+    assert all(map(is_batched, (estimator, spec(start="truth"))))
     one, same, other = (
         estimator.fit(record_of(x, y), np.random.default_rng(seed)).values["loss"] for seed in (1, 1, 2)
     )

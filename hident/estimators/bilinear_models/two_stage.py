@@ -236,7 +236,9 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
         """Records of one input share the regressors and their weights, unless the output decides these."""
         first = records[0]
         apart = isinstance(self.weight, EstimatedAr) or any(
-            record.u is not first.u or record.experiments != first.experiments for record in records
+            record.u is not first.u
+            or (record.parts is not first.parts and record.experiments != first.experiments)
+            for record in records
         )
         if apart and len(records) > 1:
             own = [None] * len(records) if rngs is None else [[rng] for rng in rngs]
