@@ -175,7 +175,8 @@ def replicates(rows: Array, statistics: Iterable[Statistic], runs: int | None) -
     runs = None if runs is not None and runs > _MOST_RUNS else runs
     rng = np.random.default_rng(0)
     n, every = len(rows), list(statistics)
-    ours = [float(statistic(column[None])[0]) for statistic, column in zip(every, rows.T, strict=True)]
+    columns = np.ascontiguousarray(rows.T)
+    ours = [float(statistic(column[None])[0]) for statistic, column in zip(every, columns, strict=True)]
     found = np.empty((REPLICATES, len(every)))
     step = max(1, _AT_ONCE // max(n, runs or 1))
     for start in range(0, REPLICATES, step):
@@ -183,7 +184,7 @@ def replicates(rows: Array, statistics: Iterable[Statistic], runs: int | None) -
         count = drawn.stop - start
         again = rng.integers(n, size=(count, n))
         theirs = None if runs is None else rng.integers(n, size=(count, runs))
-        for j, statistic in enumerate(every):
-            printed = ours[j] if theirs is None else statistic(rows[theirs, j])
-            found[drawn, j] = printed - statistic(rows[again, j]) + ours[j]
+        for j, (statistic, column) in enumerate(zip(every, columns, strict=True)):
+            printed = ours[j] if theirs is None else statistic(column.take(theirs))
+            found[drawn, j] = printed - statistic(column.take(again)) + ours[j]
     return found
