@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -34,7 +34,8 @@ def applied(matrices: Array, vectors: Array) -> Array:
     >>> applied(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[1.0, 0.0], [0.0, 1.0]])).tolist()
     [[1.0, 3.0], [2.0, 4.0]]
     """
-    return np.asarray(np.matmul(matrices, vectors[..., None])[..., 0])
+    product: Array = np.matmul(matrices, vectors[..., None])[..., 0]
+    return product
 
 
 def dots(vectors: Array, others: Array) -> Array:
@@ -45,7 +46,8 @@ def dots(vectors: Array, others: Array) -> Array:
     >>> dots(np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[1.0, 1.0], [0.0, 2.0]])).tolist()
     [3.0, 8.0]
     """
-    return np.asarray(np.matmul(vectors[..., None, :], others[..., :, None])[..., 0, 0])
+    product: Array = np.matmul(vectors[..., None, :], others[..., None])[..., 0, 0]
+    return product
 
 
 def chosen(stack: S, which: Flags | Index | slice) -> S:
@@ -60,14 +62,10 @@ def copied(stack: S) -> S:
 
 def put(stack: S, at: Flags | Index, others: S) -> None:
     """Let the ``others`` take the places ``at`` of a stack, whose arrays are written to."""
-    for name in _names(stack):
+    for name in vars(stack):
         getattr(stack, name)[at] = getattr(others, name)
 
 
 def _each(stack: S, make: Callable[[Any], Any]) -> S:
-    made: S = replace(cast(Any, stack), **{name: make(getattr(stack, name)) for name in _names(stack)})
+    made: S = replace(cast(Any, stack), **{name: make(array) for name, array in vars(stack).items()})
     return made
-
-
-def _names(stack: Any) -> list[str]:
-    return [field.name for field in fields(stack)]

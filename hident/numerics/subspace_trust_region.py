@@ -97,7 +97,8 @@ def subspace_trust_region(
     >>> found.status, found.point.rate.round(3).tolist()
     (('converged', 'converged'), [0.5, 0.5])
     """
-    point, rows = start, np.arange(len(start.loss))
+    point, loss = start, start.loss
+    rows = np.arange(len(loss))
     found, iterations = copied(start), np.full(len(rows), max_iterations)
     status: list[Status] = ["exhausted"] * len(rows)
     radii, rejected = np.full(len(rows), radius), np.zeros(len(rows), dtype=int)
@@ -113,16 +114,16 @@ def subspace_trust_region(
         gradient, hessian = applied(-transposed, point.residuals), transposed @ point.jacobian
         step = _steps(hessian, gradient, radii)
         promised = -dots(step, 2.0 * gradient + applied(hessian, step))
-        if np.any(flat := promised <= 0.0):
+        if (flat := promised <= 0.0).any():
             ends(flat, "converged", tried)
             left = np.flatnonzero(~flat)
             point, rows, radii, rejected = chosen(point, left), rows[left], radii[left], rejected[left]
-            step, promised = step[left], promised[left]
+            loss, step, promised = loss[left], step[left], promised[left]
         if not len(rows):
             break
-        length, loss = np.sqrt(dots(step, step)), point.loss
-        new = moved(point, step)
-        gained, little = loss - new.loss, tolerance * (1.0 + loss)
+        length, new = np.sqrt(dots(step, step)), moved(point, step)
+        after = new.loss
+        gained, little = loss - after, tolerance * (1.0 + loss)
         # The promise is looked at too: a bad step may come out at the same loss by chance.
         rests = (length < _HELD * radii) & (np.abs(gained) < little) & (promised < little / _POOR)
         # A loss that is not a number is no gain.
@@ -130,15 +131,17 @@ def subspace_trust_region(
         grows = ~poor & (gained >= _GOOD * promised) & (length >= _HELD * radii)
         radii = np.where(poor, np.minimum(length, radii) / 4.0, np.where(grows, 2.0 * radii, radii))
         lower = gained > 0.0
-        if not np.all(lower):
+        if not lower.all():
             put(new, ~lower, chosen(point, ~lower))
-        point, rejected = new, np.where(lower, 0, rejected + 1)
+            after = np.where(lower, after, loss)
+        loss, point, rejected = after, new, np.where(lower, 0, rejected + 1)
         stalls = ~rests & (rejected == _MOST_REJECTED)
-        if np.any(over := rests | stalls):
+        if (over := rests | stalls).any():
             ends(rests, "converged", tried + 1)
             ends(stalls, "stalled", tried + 1)
             left = np.flatnonzero(~over)
             point, rows, radii, rejected = chosen(point, left), rows[left], radii[left], rejected[left]
+            loss = loss[left]
     put(found, rows, point)
     return Reached(found, tuple(status), iterations)
 
@@ -153,23 +156,27 @@ def conjugate_gradients(hessian: Array, gradient: Array, most: int) -> Array:
     scaled = -gradient / scale
     enough = _ENOUGH * np.sqrt(dots(scaled, scaled))
     at = _Conjugate(hessian, scale, enough, steps, -gradient, scaled, dots(-gradient, scaled))
-    for _ in range(most):
+    for left in reversed(range(most)):
         curved = applied(at.hessian, at.direction)
         curvature = dots(at.direction, curved)
-        if np.any(flat := curvature <= 0.0):
+        if (flat := curvature <= 0.0).any():
+            if flat.all():
+                break
             at, rows, curved, curvature = chosen(at, ~flat), rows[~flat], curved[~flat], curvature[~flat]
         factor = (at.product / curvature)[:, None]
         steps[rows] = step = at.step + factor * at.direction
+        if not left:
+            break
         residual = at.residual - factor * curved
         scaled = residual / at.scale
+        going = ~(np.sqrt(dots(scaled, scaled)) <= at.enough)
+        if not going.any():
+            break
         product = dots(residual, scaled)
         direction = scaled + (product / at.product)[:, None] * at.direction
-        going = ~(np.sqrt(dots(scaled, scaled)) <= at.enough)
         at = _Conjugate(at.hessian, at.scale, at.enough, step, residual, direction, product)
-        if not np.all(going):
+        if not going.all():
             at, rows = chosen(at, going), rows[going]
-        if not len(rows):
-            break
     return steps
 
 
@@ -190,16 +197,20 @@ def _steps(hessian: Array, gradient: Array, radii: Array) -> Array:
     """The least of the quadratic models in the planes of the gradient and the conjugate gradients' step."""
     along = conjugate_gradients(hessian, gradient, max(1, gradient.shape[-1] // 2))
     bases, sizes = _orthonormal(along, gradient)
+    if sizes.min(initial=2) == 2:
+        return _within(bases, hessian, gradient, radii)
     steps = np.zeros_like(gradient)
-    for size in np.unique(sizes).tolist():
+    for size in (1, 2):
         rows = np.flatnonzero(sizes == size)
         basis = np.ascontiguousarray(bases[rows, :, :size])
-        transposed = basis.swapaxes(-1, -2)
-        inner = least_in_ball(
-            transposed @ hessian[rows] @ basis, applied(transposed, gradient[rows]), radii[rows]
-        )
-        steps[rows] = applied(basis, inner)
+        steps[rows] = _within(basis, hessian[rows], gradient[rows], radii[rows])
     return steps
+
+
+def _within(bases: Array, hessian: Array, gradient: Array, radii: Array) -> Array:
+    """The least of the quadratic models in the spans of orthonormal bases (T, P, K)."""
+    transposed = bases.swapaxes(-1, -2)
+    return applied(bases, least_in_ball(transposed @ hessian @ bases, applied(transposed, gradient), radii))
 
 
 def _orthonormal(first: Array, second: Array) -> tuple[Array, Index]:
@@ -207,30 +218,44 @@ def _orthonormal(first: Array, second: Array) -> tuple[Array, Index]:
 
     A vector that is zero, or is (nearly) in the span of the one before, has no column.
     """
-    columns, sizes = np.zeros((2, *first.shape)), np.zeros(len(first), dtype=np.intp)
-    for vectors in (first, second):
-        size = np.sqrt(dots(vectors, vectors))
-        rest = vectors / np.where(size == 0.0, 1.0, size)[:, None]
-        # A column that is not there is zero; it stands in one piece, as other dot products sum otherwise.
-        rest = rest - columns[0] * dots(columns[0], rest)[:, None]
-        left = np.sqrt(dots(rest, rest))
-        there = np.flatnonzero(left > _PARALLEL)
-        columns[sizes[there], there] = rest[there] / left[there, None]
-        sizes[there] += 1
-    return np.stack([*columns], axis=-1), sizes
+    one, there = _beside(first, None)
+    two, also = _beside(second, one)
+    bases = np.empty((*first.shape, 2))
+    bases[..., 0], bases[..., 1] = one, two
+    if not there.all():
+        bases[~there, :, 0] = two[~there]
+    return bases, there.astype(np.intp) + also
+
+
+def _beside(vectors: Array, column: Array | None) -> tuple[Array, Flags]:
+    """What the vectors have beside a column, at length one, and where it is not rounding (else zero)."""
+    size = np.sqrt(dots(vectors, vectors))
+    if not (some := size != 0.0).all():
+        size = np.where(some, size, 1.0)
+    rest = vectors / size[:, None]
+    if column is not None:
+        rest = rest - column * dots(column, rest)[:, None]
+    left = np.sqrt(dots(rest, rest))
+    if not (there := left > _PARALLEL).all():
+        rest[~there], left[~there] = 0.0, 1.0
+    return rest / left[:, None], there
 
 
 def least_in_ball(hessian: Array, gradient: Array, radius: Array) -> Array:
-    """The s (T, K) with the least g's + s'H s / 2 up to ``radius`` (T,), for g = -J'r and H = J'J."""
+    """The s (T, K) no longer than ``radius`` (T,) with the least g's + s'H s / 2; g = -J'r, H = J'J."""
     values, vectors = np.linalg.eigh(hessian)
-    # Along what is in the null space of H, g is rounding.
-    known = values > _NULL * np.max(values, axis=-1, initial=0.0, keepdims=True)
+    # They rise. Along what is in the null space of H, g is rounding.
+    known = values > _NULL * np.maximum(values[:, -1:], 0.0)
     transposed = np.ascontiguousarray(vectors.swapaxes(-1, -2))
-    sides = applied(transposed, gradient) / np.where(known, values, 1.0)
+    divisors = values if (whole := known.all()) else np.where(known, values, 1.0)
+    sides = applied(transposed, gradient) / divisors
     steps = applied(-transposed.swapaxes(-1, -2), sides)
-    newton = np.all(known, axis=-1) & (np.sqrt(dots(steps, steps)) <= radius)
-    for i in np.flatnonzero(~newton).tolist():
-        steps[i] = _held(values[i, known[i]], vectors[i][:, known[i]], gradient[i], float(radius[i]))
+    newton = np.sqrt(dots(steps, steps)) <= radius
+    if not whole:
+        newton &= known.all(axis=-1)
+    if not newton.all():
+        for i in np.flatnonzero(~newton).tolist():
+            steps[i] = _held(values[i, known[i]], vectors[i][:, known[i]], gradient[i], float(radius[i]))
     return steps
 
 

@@ -194,7 +194,7 @@ def trust_region_solutions(
     normalise: bool = True,
 ) -> list[Solution]:
     """:func:`bilinear_trust_region` for T outputs ``y`` (T, rows), from ``b`` (T, n) and ``a`` (T, m)."""
-    problem = _Problem(regression.r, normalise, _all)
+    problem = _Problem(regression.r, normalise)
     start = problem.at(regression.projected(y), b, a)
     return _solutions(
         subspace_trust_region(start, problem.moved, tolerance=tolerance, max_iterations=max_iterations)
@@ -232,35 +232,35 @@ def _shortest(b: Array, a: Array) -> Array:
     return complement(np.concatenate([b, -a], axis=-1))
 
 
-def _all(b: Array, a: Array) -> Array:
-    free = b.shape[-1] + a.shape[-1]
-    return np.tile(np.eye(free), (len(b), 1, 1))
-
-
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """The residuals z - r vec(b a'); ``free`` gives the directions of the steps where b is not held."""
+    """The residuals z - r vec(b a'); ``free`` gives the directions where b is not held, None for all."""
 
     r: Array
     normalise: bool
-    free: Callable[[Array, Array], Array]
+    free: Callable[[Array, Array], Array] | None = None
 
     def at(self, z: Array, b: Array, a: Array) -> _Points:
-        # Held, b moves across assumption 1's normal.
-        held = np.concatenate([b, np.zeros_like(a)], axis=-1) if self.normalise else None
-        tangent = self.free(b, a) if held is None else complement(held)
+        derivative, tangent = jacobian(self.r, b, a), np.empty((len(b), 0, 0))
+        if self.normalise:
+            # Held, b moves across assumption 1's normal.
+            tangent = complement(np.concatenate([b, np.zeros_like(a)], axis=-1))
+        elif self.free is not None:
+            tangent = self.free(b, a)
         product = (a[:, :, None] * b[:, None, :]).reshape(len(b), -1)
-        return _Points(z, b, a, z - applied(self.r, product), jacobian(self.r, b, a) @ tangent, tangent)
+        along = derivative @ tangent if tangent.size else derivative
+        return _Points(z, b, a, z - applied(self.r, product), along, tangent)
 
     def moved(self, points: _Points, step: Array) -> _Points:
-        by_b, by_a = np.split(applied(points.tangent, step), [points.b.shape[-1]], axis=-1)
-        new = points.b + by_b, points.a + by_a
+        n = points.b.shape[-1]
+        change = applied(points.tangent, step) if points.tangent.size else step
+        new = points.b + change[:, :n], points.a + change[:, n:]
         return self.at(points.z, *(normalised(*new) if self.normalise else new))
 
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """Models of T outputs; each array begins with the axis of these."""
+    """Models of T outputs; each array begins with the axis of these. No ``tangent``: all directions."""
 
     z: Array
     b: Array
