@@ -217,7 +217,7 @@ class MatlabStream:
 
 
 def _count(size: Size) -> int:
-    return 1 if size is None else math.prod(np.atleast_1d(size).tolist())
+    return 1 if size is None else size if isinstance(size, int) else math.prod(size)
 
 
 def _shaped(drawn: Array, size: Size) -> Array:
