@@ -111,8 +111,10 @@ from hident.signals.noise import Autoregressive as Autoregressive, Rounding as R
 from hident.signals.streams import NumpyStreams as NumpyStreams
 from hident.systems.blocks import Hammerstein as Hammerstein, Wiener as Wiener
 from hident.systems.blocks import WienerHammerstein as WienerHammerstein
-from hident.systems.continuous import Continuous as Continuous
+from hident.systems.continuous import Continuous as Continuous, ContinuousZpk as ContinuousZpk
 from hident.systems.linear import Ar as Ar, Arma as Arma, Fir as Fir
+from hident.systems.sections import Sos as Sos, Zpk as Zpk
+from hident.systems.memory import Backlash as Backlash, Relay as Relay
 from hident.systems.nonlinearity import Abs as Abs, ChenType1 as ChenType1, ChenType2 as ChenType2
 from hident.systems.nonlinearity import ChenType3 as ChenType3, ChenType4 as ChenType4, DeadZone as DeadZone
 from hident.systems.nonlinearity import Exponential as Exponential, Expression as Expression

@@ -563,7 +563,7 @@ def list_components() -> pd.DataFrame:
     >>> import hident as hi
     >>> known = hi.list_components().query("family == 'linear'")
     >>> known["name"].to_list()
-    ['Ar', 'Arma', 'Continuous', 'Fir']
+    ['Ar', 'Arma', 'Continuous', 'ContinuousZpk', 'Fir', 'Sos', 'Zpk']
     """
     import pandas as pd
 

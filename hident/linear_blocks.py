@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -32,6 +32,8 @@ from hident.numerics.whole import split
 _NEGLIGIBLE = 1e-16
 # A simple pole of this modulus is forgotten to 1e-16 after 3.7 million samples.
 SLOWEST = 0.99999
+# Rounding moves a pole at 1 less far than this, also one of three.
+_NEAR_ONE = 0.9999
 MOST_POLES = 200
 """As many as a configuration may give: to find them takes the third power of their number."""
 
@@ -97,9 +99,23 @@ class TransferFunction:
         """The largest modulus of the poles, 0 without feedback."""
         return float(np.max(np.abs(self.poles()), initial=0.0))
 
-    def is_stable(self) -> bool:
-        """Whether all poles lie inside the unit circle."""
-        return self.radius() < 1.0
+    def is_stable(self, *, integrators: bool = False) -> bool:
+        """Whether all poles lie inside the unit circle; ``integrators``: or at 1."""
+        if self.radius() < 1.0:
+            return True
+        return integrators and TransferFunction(a=self._beside_integrators()[1]).radius() < 1.0
+
+    def integrators(self) -> int:
+        """How many poles lie at 1, where an input that stays makes the output grow without end."""
+        return 0 if self.radius() < _NEAR_ONE else self._beside_integrators()[0]
+
+    def _beside_integrators(self) -> tuple[int, tuple[float, ...]]:
+        """The number of poles at 1, and the feedback that the others make."""
+        count, rest = 0, self.denominator
+        while len(rest) > 1 and _sum(rest) == 0.0:
+            # The quotient by 1 - q^-1.
+            count, rest = count + 1, np.cumsum(rest)[:-1]
+        return count, tuple((-rest[1:]).tolist())
 
     def static_gain(self) -> float:
         """The gain at frequency zero: exactly zero where it is rounding, infinite for an integrator."""
@@ -208,6 +224,7 @@ class TransferFunction:
 class ContinuousTransferFunction:
     """(b_0 + b_1 s + ... + b_m s^m) e^(-delay s) / (1 + a_1 s + ... + a_n s^n) with m < n.
 
+    With ``integrators`` k, poles at zero, the denominator is s^k (1 + a_1 s + ... + a_n s^n), and m < n + k.
     Times are in the unit of the sampling interval of the data.
 
     Examples
@@ -222,37 +239,58 @@ class ContinuousTransferFunction:
     b: tuple[float, ...]
     a: tuple[float, ...]
     delay: float = 0.0
+    integrators: int = 0
 
     def __post_init__(self) -> None:
-        if not self.a or self.a[-1] == 0.0:
+        if not (self.a or self.integrators) or (self.a and self.a[-1] == 0.0):
             raise ValueError("the highest coefficient a_n must not be zero, and there must be one")
-        if len(self.b) > len(self.a):
+        if len(self.b) > self._order:
             raise ValueError(
                 f"the block is improper: the order m = {len(self.b) - 1} of the numerator must be "
-                f"below the order n = {len(self.a)} of the denominator"
+                f"below the order n = {self._order} of the denominator"
+            )
+        if self.integrators and self.b[0] == 0.0:
+            raise ValueError(
+                "b_0 = 0 takes an integrator away: leave out the first of b and one of the integrators"
             )
         if self.delay < 0.0:
             raise ValueError(f"the delay must not be negative, not {self.delay:g}")
 
     @property
     def denominator(self) -> Array:
-        """The denominator's coefficients by falling power of s: a_n, ..., a_1, 1."""
-        return np.array([*reversed(self.a), 1.0])
+        """The denominator's coefficients by falling power of s: a_n, ..., a_1, 1, and 0 for integrators."""
+        return np.array([*reversed(self.a), 1.0, *[0.0] * self.integrators])
+
+    @property
+    def _order(self) -> int:
+        """The number of poles."""
+        return len(self.a) + self.integrators
+
+    def _coefficients(self) -> list[float]:
+        """The denominator's coefficients by rising power of s."""
+        return [*[0.0] * self.integrators, 1.0, *self.a]
 
     def poles(self) -> Complex:
-        """The n poles, in 1/time; the block is stable when all lie in the left half plane."""
+        """The poles, in 1/time; the block is stable when all lie in the left half plane."""
         return np.roots(self.denominator).astype(np.complex128)
 
     def zeros(self) -> Complex:
         """The zeros, in 1/time."""
         return np.roots(self.b[::-1]).astype(np.complex128)
 
-    def is_stable(self) -> bool:
-        """Whether all poles lie in the left half plane."""
-        return bool(np.all(self.poles().real < 0.0))
+    def is_stable(self, *, integrators: bool = False) -> bool:
+        """Whether all poles lie in the left half plane; ``integrators``: or at zero."""
+        poles = self.poles()
+        # np.roots puts those at zero last, and exactly there.
+        return bool(np.all((poles[: len(self.a)] if integrators else poles).real < 0.0))
 
     def static_gain(self) -> float:
-        """The gain at frequency zero: exactly zero where b_0 is rounding beside what the others make."""
+        """The gain at frequency zero: exactly zero where b_0 is rounding beside what the others make.
+
+        Infinite for an integrator.
+        """
+        if self.integrators:
+            return math.copysign(math.inf, self.b[0])
         return self.b[0] if significant(self.b / self._unit ** np.arange(len(self.b)))[0] else 0.0
 
     def values(self) -> dict[str, float]:
@@ -293,7 +331,7 @@ class ContinuousTransferFunction:
 
     def scaled(self, gain: float) -> ContinuousTransferFunction:
         """The block with its output multiplied by ``gain``."""
-        return ContinuousTransferFunction(tuple(gain * b for b in self.b), self.a, self.delay)
+        return replace(self, b=tuple(gain * b for b in self.b))
 
     def frequency_response(self, omega: Array) -> Complex:
         """The complex gain at angular frequencies ``omega`` (any shape), radians per unit of time."""
@@ -304,7 +342,7 @@ class ContinuousTransferFunction:
     @cached_property
     def _unit(self) -> float:
         """A unit of time in which the poles have a geometric mean of one, for good conditioning."""
-        return float(abs(self.a[-1]) ** (1.0 / len(self.a)))
+        return float(abs(self.a[-1]) ** (1.0 / len(self.a))) if self.a else 1.0
 
     @cached_property
     def _form(self) -> tuple[Complex, Complex]:
@@ -314,18 +352,18 @@ class ContinuousTransferFunction:
         """
         from scipy.linalg import schur
 
-        n, unit = len(self.a), self._unit
-        leading = self.a[-1] / unit**n
+        n, unit, coefficients = self._order, self._unit, self._coefficients()
+        leading = coefficients[-1] / unit**n
         companion = np.eye(n, k=1)
-        scaled = np.array([1.0, *(a / unit**i for i, a in enumerate(self.a[:-1], start=1))])
+        scaled = np.array([one / unit**i for i, one in enumerate(coefficients[:-1])])
         companion[-1] = -scaled / leading
         triangular, basis = schur(companion, output="complex")
         return triangular, basis
 
     def _weights(self, numerator: tuple[float, ...]) -> Complex:
         """C with y = C z, for a numerator b_0, ..., b_m."""
-        n, unit = len(self.a), self._unit
-        leading = self.a[-1] / unit**n
+        n, unit = self._order, self._unit
+        leading = self._coefficients()[-1] / unit**n
         output = np.zeros(n)
         output[: len(numerator)] = [b / unit**i / leading for i, b in enumerate(numerator)]
         return np.asarray(output @ self._form[1])

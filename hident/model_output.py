@@ -40,8 +40,10 @@ def simulated(estimate: Estimate, record: Record) -> Array:
 
 
 def has_stable_block(estimate: Estimate) -> bool:
-    """Whether the linear block is stable, if there is one."""
-    return all(block is None or block.is_stable() for block in (estimate.continuous, estimate.linear))
+    """Whether the linear block is stable, apart from integrators, if there is one."""
+    return all(
+        block is None or block.is_stable(integrators=True) for block in (estimate.continuous, estimate.linear)
+    )
 
 
 def finite_output(y: Array, how: str) -> Array:

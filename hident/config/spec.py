@@ -8,12 +8,14 @@ listing, the contract tests and the documentation follow from it.
 from __future__ import annotations
 
 import inspect
+import math
 import re
 from collections.abc import Callable, Mapping, Sized
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
 from pydantic import (
     AfterValidator,
+    AllowInfNan,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -81,6 +83,12 @@ def _as_real(value: Any) -> Any:
     return float(value)
 
 
+def _no_nan(value: float) -> float:
+    if math.isnan(value):
+        raise ValueError(f"{_A_NUMBER}, not .nan")
+    return value
+
+
 def _as_count(value: Any) -> Any:
     if isinstance(value, bool) or not isinstance(value, int):
         raise ValueError(_A_WHOLE_NUMBER)
@@ -94,6 +102,14 @@ Real = Annotated[
     BeforeValidator(_as_real),
     WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]}),
 ]
+Limit = Annotated[
+    float,
+    AllowInfNan(True),
+    BeforeValidator(_as_real),
+    AfterValidator(_no_nan),
+    WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "string"}]}),
+]
+"""A number, or .inf or -.inf where there is no limit."""
 Count = Annotated[int, BeforeValidator(_as_count)]
 Flag = Annotated[bool, Strict()]
 
@@ -105,6 +121,8 @@ def _increasing(interval: tuple[float, float]) -> tuple[float, float]:
 
 
 Interval = Annotated[tuple[Real, Real], AfterValidator(_increasing)]
+Limits = Annotated[tuple[Limit, Limit], AfterValidator(_increasing)]
+"""An interval that may be open to one side: [low, .inf]."""
 T = TypeVar("T")
 NonEmpty = Annotated[tuple[T, ...], Field(min_length=1)]
 

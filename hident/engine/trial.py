@@ -127,8 +127,9 @@ class Data(Spec):
 
     def lacks(self, need: str) -> str:
         """What to say of a part of the truth that something needs and that is not there."""
+        because = f": {why}" if (why := self.system.lacks(need)) else ""
         return (
-            f"needs the {need} of the system, which '{self.system.kind}' does not have "
+            f"needs the {need} of the system, which '{self.system.kind}' does not have{because} "
             f"(it has: {one_of(sorted(self.system.provides()))})"
         )
 

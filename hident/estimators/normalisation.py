@@ -8,7 +8,7 @@ only where that keeps the rule too.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -96,6 +96,37 @@ def first_coefficient(
         return {"linear": found / value}
 
     return Normalisation(f"{name} = {value:g}", _parts(values, *_BOTH), factors)
+
+
+def behind(rule: Normalisation, delay: int | None, *, responses: bool = False) -> Normalisation:
+    """A rule for the discrete block's coefficients, for those from the lag ``delay`` on.
+
+    None is a delay that is searched for: the system's own counts. With ``responses`` the rule is about the
+    impulse response, else about the numerator.
+    """
+
+    def factors(truth: Truth, dt: float | None) -> Factors | None:
+        block = _discrete(truth, dt)
+        if block is None:
+            return None
+        b = significant(block.b)
+        own = next(iter(np.flatnonzero(b).tolist()), 0)
+        lag = own if delay is None else delay
+        if responses:
+            b = significant(TransferFunction(tuple(b.tolist()), block.a).impulse_response(lag + 1))
+        later = TransferFunction(tuple(b[lag:].tolist()) or (0.0,), block.a)
+        try:
+            return rule.factors(replace(truth, linear=later, continuous=None), dt)
+        except ValueError:
+            if own == lag:
+                raise
+            raise ValueError(
+                f"the system's block delays its input by {own} sample{'' if own == 1 else 's'}, and the "
+                f"estimator counts on {lag}: set the estimator's 'delay' to {own}, or to search"
+            ) from None
+
+    counted = "" if delay == 0 else ", lags counted from the delay" + ("" if delay is None else f" {delay}")
+    return replace(rule, rule=rule.rule + counted, factors=factors)
 
 
 def unit_slope(rule: str, values: str, *parts: str) -> Normalisation:

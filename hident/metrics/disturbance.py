@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hident.config.spec import Flag, Real, component
+from hident.linear_blocks import SLOWEST
 from hident.metrics.base import MetricSpec, Scored
 from hident.numerics.parts import in_each, longer_than
 from hident.records import Estimate, Record, needed
@@ -96,6 +97,12 @@ class DisturbanceVarianceFormula(MetricSpec):
 
     def check(self, scored: Scored) -> None:
         _check_first_coefficient(scored)
+        linear = scored.system.truth().linear
+        if not self.filtered and linear is not None and (radius := linear.radius()) > SLOWEST:
+            raise ValueError(
+                "sums over the impulse response of the system's linear block, which lasts too long: a pole "
+                f"has modulus {radius:.8g} (at most {SLOWEST})"
+            )
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         linear = needed(needed(record.truth).linear)

@@ -58,6 +58,13 @@ def discretised_percent_error(
     return 100.0 * errors / float(sum(np.sum(np.abs(part)) for part in true))
 
 
+def _without_static_gain(block: ContinuousTransferFunction) -> str:
+    """Why a block has no static gain; empty if it has one."""
+    if block.integrators:
+        return "an integrator"
+    return "" if block.static_gain() else "b_0 = 0"
+
+
 def _without_delay(block: ContinuousTransferFunction) -> ContinuousTransferFunction:
     return ContinuousTransferFunction(block.b, block.a)
 
@@ -97,9 +104,9 @@ class LinearPercentError(MetricSpec):
 
     def check(self, scored: Scored) -> None:
         truth, step = scored.system.truth().continuous, self._step(scored.dt)
-        if truth is not None and truth.static_gain() == 0.0:
+        if truth is not None and (why := _without_static_gain(truth)):
             raise ValueError(
-                "leaves the gain apart, and the system's linear block has no static gain (b_0 = 0) to be "
+                f"leaves the gain apart, and the system's linear block has no static gain ({why}) to be "
                 "divided by: score the parameters by kind error, or the whole model by validation_error"
             )
         slowest = float(np.max(truth.poles().real)) if truth is not None and truth.a else 0.0
@@ -145,10 +152,10 @@ class SettlingTime(MetricSpec):
 
     def check(self, scored: Scored) -> None:
         truth = scored.system.truth().continuous
-        if truth is not None and truth.static_gain() == 0.0:
+        if truth is not None and (why := _without_static_gain(truth)):
             raise ValueError(
                 "measures from the final value of the step response, and the system's linear block has no "
-                "static gain (b_0 = 0): score the whole model by validation_error"
+                f"static gain ({why}): score the whole model by validation_error"
             )
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:

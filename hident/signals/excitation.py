@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from hident.arrays import Array
-from hident.config.spec import Count, Flag, Interval, Of, Real, component
+from hident.config.spec import Count, Flag, Interval, Limits, Of, Real, component
 from hident.config.suggest import one_of
 from hident.numerics.whole import nearest_whole, whole_part
 from hident.records import Held, Periodic
@@ -133,8 +133,8 @@ class Multistep(_Random):
     """Distribution of the levels: gaussian, or uniform between the limits."""
     switching_time: Positive
     """Time for which a level is held, in the unit of dt; need not be a multiple of dt."""
-    limits: Interval | None = None
-    """Lowest and highest level [low, high]: gaussian levels are clipped to it (default: not clipped)."""
+    limits: Limits | None = None
+    """Lowest and highest level [low, high]: gaussian levels are clipped (default: not; .inf: not there)."""
 
     @model_validator(mode="after")
     def _keys_fit_the_distribution(self) -> Self:
@@ -142,6 +142,8 @@ class Multistep(_Random):
             self._require(("std",), ())
         else:
             self._require(("limits",), ("mean", "std"))
+            if not np.all(np.isfinite(self.limits or ())):
+                raise ValueError("a uniform distribution needs finite limits")
         return self
 
     def sample(self, n: int, dt: float, rng: np.random.Generator, burn_in: int = 0) -> Array:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic_core import PydanticCustomError
 
-from hident.arrays import Array
-from hident.config.spec import Component, Real
+from hident.arrays import Array, Characteristic
+from hident.config.spec import Component, Of, Real
 from hident.linear_blocks import MOST_POLES
 from hident.records import Truth, Waveform
 
@@ -30,11 +31,22 @@ Feedback = Annotated[tuple[Real, ...], Field(max_length=MOST_POLES), BeforeValid
 
 
 class NonlinearitySpec(Component):
-    """Base of all static nonlinearities; also used as instruments and known functions."""
+    """Base of all nonlinearities: static ones, which also serve as instruments and known functions.
+
+    Those with memory descend from :class:`MemorySpec`.
+    """
 
     def __call__(self, u: Array) -> Array:
         """The characteristic at ``u``, elementwise, float64 of the shape of ``u``."""
         raise NotImplementedError
+
+    def simulate(self, u: Array) -> Array:
+        """The output (N,) to the samples ``u`` (N,) of one experiment, an array of its own."""
+        return self(u)
+
+    def characteristic(self) -> Characteristic | None:
+        """The function of the input that it is; None if it has memory."""
+        return self
 
     def coefficients_by_power(self) -> dict[int, float]:
         """The coefficients of a polynomial by power; empty for any other characteristic."""
@@ -43,6 +55,40 @@ class NonlinearitySpec(Component):
     def break_points(self) -> tuple[float, ...]:
         """Where the characteristic or its derivative jumps, in increasing order."""
         return ()
+
+
+class MemorySpec(NonlinearitySpec):
+    """Base of the nonlinearities with memory: their output depends on the inputs before, too.
+
+    They answer :meth:`simulate`, and begin every experiment at their ``initial`` state; they are no function
+    of the input, so that a system's truth holds no ``nonlinearity``.
+    """
+
+    def __call__(self, u: Array) -> Array:
+        raise TypeError(f"{self.kind} has memory: it has a response to a signal, and no value at an input")
+
+    def simulate(self, u: Array) -> Array:
+        raise NotImplementedError
+
+    def characteristic(self) -> Characteristic | None:
+        return None
+
+
+class OfStatic(Of):
+    """Pydantic annotation: a nonlinearity without memory, where a function of the input is needed."""
+
+    def __init__(self) -> None:
+        super().__init__("nonlinearity")
+
+    def validate(self, value: Any) -> Component:
+        spec = super().validate(value)
+        if isinstance(spec, MemorySpec):
+            raise PydanticCustomError(
+                "config",
+                f"must be a function of the input alone, and {spec.kind} has memory: "
+                "take a nonlinearity without",
+            )
+        return spec
 
 
 class SystemSpec(Component):
@@ -98,3 +144,7 @@ class SystemSpec(Component):
     def provides(self) -> frozenset[str]:
         """The parts of :meth:`truth`: ``nonlinearity``, ``linear``, ``response``, ``value NAME``..."""
         return self.truth().provides()
+
+    def lacks(self, part: str) -> str:
+        """Why it has no such part, where one would expect it; empty otherwise."""
+        return ""

@@ -1,4 +1,4 @@
-"""The block-oriented systems: static nonlinearities and linear blocks in series."""
+"""The block-oriented systems: nonlinearities, static or with memory, and linear blocks in series."""
 
 from __future__ import annotations
 
@@ -12,15 +12,21 @@ from hident.arrays import Array
 from hident.config.spec import Of, component
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.records import Held, Truth, Waveform
-from hident.systems.base import NonlinearitySpec, SystemSpec
-from hident.systems.continuous import Continuous
+from hident.systems.base import MemorySpec, NonlinearitySpec, SystemSpec
+from hident.systems.continuous import ContinuousSpec
 from hident.systems.continuous_wiener_hammerstein import respond
 from hident.systems.linear import DiscreteSpec, LinearSpec
 
 
+def _why_no_function(part: str, nonlinearity: NonlinearitySpec) -> str:
+    """Why a truth holds no ``nonlinearity``, if that is the ``part`` that it lacks."""
+    has_memory = part == "nonlinearity" and nonlinearity.characteristic() is None
+    return f"{nonlinearity.kind} has memory and is no function of its input" if has_memory else ""
+
+
 class _OneLinearBlock(SystemSpec):
     nonlinearity: Annotated[NonlinearitySpec, Of("nonlinearity")]
-    """The static nonlinearity."""
+    """The nonlinearity; one with memory sees the samples, and begins anew in every experiment."""
     linear: Annotated[LinearSpec, Of("linear")]
     """The linear block."""
 
@@ -30,10 +36,13 @@ class _OneLinearBlock(SystemSpec):
     def burn_in(self) -> int:
         return self.linear.burn_in()
 
+    def lacks(self, part: str) -> str:
+        return _why_no_function(part, self.nonlinearity)
+
     def truth(self) -> Truth:
         block = self.linear.transfer_function()
         truth = Truth(
-            nonlinearity=self.nonlinearity,
+            nonlinearity=self.nonlinearity.characteristic(),
             response=self.simulate,
             values=block.values(),
             breakpoints=self.nonlinearity.break_points(),
@@ -45,7 +54,7 @@ class _OneLinearBlock(SystemSpec):
 
 @component("system", "hammerstein")
 class Hammerstein(_OneLinearBlock):
-    """A static nonlinearity, then a linear block.
+    """A nonlinearity, then a linear block.
 
     Examples
     --------
@@ -56,10 +65,10 @@ class Hammerstein(_OneLinearBlock):
 
     def check_before(self, level: float) -> None:
         # The linear block, which is at rest, sees the nonlinearity's output.
-        super().check_before(float(self.nonlinearity(np.array([level]))[0]))
+        super().check_before(float(self.nonlinearity.simulate(np.array([level]))[0]))
 
     def simulate(self, u: Array, dt: float = 1.0) -> Array:
-        return self.linear.simulate(self.nonlinearity(u), dt)
+        return self.linear.simulate(self.nonlinearity.simulate(u), dt)
 
     def truth(self) -> Truth:
         """The parts of the system, the coefficients of a polynomial among the values.
@@ -75,7 +84,7 @@ class Hammerstein(_OneLinearBlock):
 
 @component("system", "wiener")
 class Wiener(_OneLinearBlock):
-    """A linear block, then a static nonlinearity.
+    """A linear block, then a nonlinearity.
 
     Examples
     --------
@@ -85,7 +94,7 @@ class Wiener(_OneLinearBlock):
     """
 
     def simulate(self, u: Array, dt: float = 1.0) -> Array:
-        return self.nonlinearity(self.linear.simulate(u, dt))
+        return self.nonlinearity.simulate(self.linear.simulate(u, dt))
 
 
 def _start(initial: str | tuple[float, ...]) -> str:
@@ -94,7 +103,7 @@ def _start(initial: str | tuple[float, ...]) -> str:
 
 @component("system", "wiener_hammerstein")
 class WienerHammerstein(SystemSpec):
-    """A static nonlinearity between two linear blocks, both discrete or both continuous.
+    """A nonlinearity between two linear blocks, both discrete or both continuous.
 
     Continuous blocks are driven by the signal itself, not by its samples held: a sine is one between the
     samples too, from its periodic steady state; other signals find the system in equilibrium.
@@ -111,7 +120,7 @@ class WienerHammerstein(SystemSpec):
     input_linear: Annotated[LinearSpec, Of("linear")]
     """The linear block before the nonlinearity."""
     nonlinearity: Annotated[NonlinearitySpec, Of("nonlinearity")]
-    """The static nonlinearity."""
+    """The nonlinearity; between continuous blocks it has no memory."""
     output_linear: Annotated[LinearSpec, Of("linear")]
     """The linear block after the nonlinearity."""
 
@@ -125,8 +134,18 @@ class WienerHammerstein(SystemSpec):
                         f"not {_start(first)} and {_start(second)}: "
                         "a burn-in would move the given state before the record"
                     )
-            case Continuous(), Continuous():
-                pass
+            case ContinuousSpec() as first, ContinuousSpec() as second:
+                if first.transfer_function().integrators or second.transfer_function().integrators:
+                    raise ValueError(
+                        "continuous blocks around a nonlinearity start from the equilibrium, which an "
+                        "integrator does not have: take blocks without 'integrators', or discrete ones with "
+                        "a pole at 1 and 'initial: zero'"
+                    )
+                if isinstance(self.nonlinearity, MemorySpec):
+                    raise ValueError(
+                        f"between continuous blocks a nonlinearity must have no memory, and "
+                        f"{self.nonlinearity.kind} has: take discrete blocks"
+                    )
             case first, second:
                 raise ValueError(
                     "both linear blocks must be discrete, or both continuous, "
@@ -142,7 +161,7 @@ class WienerHammerstein(SystemSpec):
         return self.input_linear.burn_in() + self.output_linear.burn_in()
 
     def follows_waveforms(self) -> bool:
-        return isinstance(self.input_linear, Continuous)
+        return isinstance(self.input_linear, ContinuousSpec)
 
     def respond(self, waveform: Waveform, n: int, dt: float) -> Array:
         blocks = self._continuous_blocks()
@@ -151,7 +170,11 @@ class WienerHammerstein(SystemSpec):
     def simulate(self, u: Array, dt: float = 1.0) -> Array:
         if self.follows_waveforms():
             return self.respond(Held(np.arange(float(len(u))) * dt, u), len(u), dt)
-        return self.output_linear.simulate(self.nonlinearity(self.input_linear.simulate(u, dt)), dt)
+        x = self.nonlinearity.simulate(self.input_linear.simulate(u, dt))
+        return self.output_linear.simulate(x, dt)
+
+    def lacks(self, part: str) -> str:
+        return _why_no_function(part, self.nonlinearity)
 
     def truth(self) -> Truth:
         values = {
@@ -160,7 +183,7 @@ class WienerHammerstein(SystemSpec):
             for name, value in linear.transfer_function().values().items()
         }
         return Truth(
-            nonlinearity=self.nonlinearity,
+            nonlinearity=self.nonlinearity.characteristic(),
             response=self.simulate,
             blocks=self._continuous_blocks(),
             values=values,
@@ -170,4 +193,4 @@ class WienerHammerstein(SystemSpec):
     def _continuous_blocks(self) -> dict[str, ContinuousTransferFunction]:
         """The blocks as numbers by their place; empty in discrete time."""
         sides = {"input": self.input_linear, "output": self.output_linear}
-        return {side: b.transfer_function() for side, b in sides.items() if isinstance(b, Continuous)}
+        return {side: b.transfer_function() for side, b in sides.items() if isinstance(b, ContinuousSpec)}

@@ -69,8 +69,13 @@ class DiscreteSpec(LinearSpec):
     @model_validator(mode="after")
     def _check_poles_and_start(self) -> Self:
         block = self.transfer_function()
-        if not block.is_stable():
+        if not block.is_stable(integrators=True):
             raise ValueError(f"is unstable: poles {_unstable_poles(block)} lie on or outside the unit circle")
+        if self.initial == "stationary" and block.integrators():
+            raise ValueError(
+                "has a pole at 1, an integrator, which has no stationary start: "
+                "set 'initial: zero', or give the past outputs"
+            )
         if self.initial == "stationary" and (radius := block.radius()) > SLOWEST:
             raise ValueError(
                 f"has a pole of modulus {radius:.8g}, too slow for a stationary start (at most {SLOWEST}): "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import Annotated, Any, Self
 
@@ -11,7 +12,7 @@ from pydantic import BeforeValidator, PrivateAttr, field_validator, model_valida
 
 from hident.arrays import Array
 from hident.config.expression import Formula
-from hident.config.spec import Count, Real, component
+from hident.config.spec import Count, Limit, Real, component
 from hident.systems.base import Coefficients, NonlinearitySpec
 
 
@@ -179,10 +180,10 @@ class PiecewiseLinear(NonlinearitySpec):
 
 
 class _Interval(NonlinearitySpec):
-    low: Real
-    """Lower end of the interval."""
-    high: Real
-    """Upper end of the interval."""
+    low: Limit
+    """Lower end of the interval; -.inf for none."""
+    high: Limit
+    """Upper end of the interval; .inf for none."""
     gain: Real = 1.0
     """Slope of the rising part."""
 
@@ -190,10 +191,12 @@ class _Interval(NonlinearitySpec):
     def _check_order(self) -> Self:
         if self.low >= self.high:
             raise ValueError(f"'low' must be below 'high', not {self.low:.10g} and {self.high:.10g}")
+        if not self.break_points():
+            raise ValueError("'low' and 'high' are infinite: one of them must be a number")
         return self
 
     def break_points(self) -> tuple[float, ...]:
-        return (self.low, self.high)
+        return tuple(end for end in (self.low, self.high) if math.isfinite(end))
 
 
 @component("nonlinearity", "saturation")
@@ -204,6 +207,8 @@ class Saturation(_Interval):
     --------
     >>> Saturation(low=-1, high=1)(np.array([-2.0, 0.5, 3.0]))
     array([-1. ,  0.5,  1. ])
+    >>> Saturation(low=-1, high=math.inf)(np.array([-2.0, 0.5, 3.0]))
+    array([-1. ,  0.5,  3. ])
     """
 
     def __call__(self, u: Array) -> Array:

@@ -22,13 +22,14 @@ from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
 from hident.signals.base import ExcitationSpec, NoiseSpec
 from hident.signals.experiments import Experiments
-from hident.systems.base import NonlinearitySpec, SystemSpec
+from hident.systems.base import MemorySpec, NonlinearitySpec, SystemSpec
 from hident.testing.base import Check, Contract, made_data, record_of
 from hident.testing.components import ClassContract, ExampleContract, SettingContract
 from hident.testing.estimators import Dull, EstimatorContract, Invariance
 from hident.testing.metrics import MetricContract, of_truth
 from hident.testing.systems import (
     ExcitationContract,
+    MemoryContract,
     NoiseContract,
     NonlinearityContract,
     SystemContract,
@@ -122,6 +123,8 @@ def checks(
             record = record_of(own)
             made = estimate(own, Job(estimator, ()), record, 1, 0) if estimator else of_truth(record.truth)
             contracts.append(MetricContract(component, made, record))
+        case MemorySpec():
+            contracts.append(MemoryContract(component))
         case NonlinearitySpec():
             contracts.append(NonlinearityContract(component))
         case SystemSpec():

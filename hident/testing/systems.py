@@ -10,11 +10,13 @@ import numpy as np
 from hident.arrays import Array
 from hident.records import Truth, Waveform
 from hident.signals.base import ExcitationSpec, NoiseSpec
-from hident.systems.base import NonlinearitySpec, SystemSpec
+from hident.systems.base import MemorySpec, NonlinearitySpec, SystemSpec
 from hident.testing.base import Contract, must
 
 _POINTS = np.linspace(-1.5, 1.5, 61)
 _LATER = 40
+# Up, down and up again.
+_SIGNAL = 1.5 * np.sin(np.linspace(0.0, 12.0, 121))
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,39 @@ class NonlinearityContract(Contract):
     def names_its_break_points_in_increasing_order(self) -> None:
         found = self.component.break_points()
         must(all(a < b for a, b in pairwise(found)), f"the break points {found} do not increase")
+
+
+@dataclass(frozen=True)
+class MemoryContract(Contract):
+    """What a nonlinearity with memory owes."""
+
+    component: MemorySpec
+
+    def gives_an_array_of_its_own_of_the_length_of_its_signal(self) -> None:
+        for u in (_SIGNAL, _SIGNAL[:1]):
+            before = u.copy()
+            y = np.asarray(self.component.simulate(u))
+            must(
+                y.shape == u.shape and y.dtype == float,
+                f"to a signal of shape {u.shape} it gives shape {y.shape}, dtype {y.dtype}",
+            )
+            must(np.array_equal(u, before), "it writes to its signal")
+            must(not np.shares_memory(u, y), "its output is the array of its signal: give one of its own")
+
+    def does_not_look_ahead(self) -> None:
+        late = _SIGNAL.copy()
+        late[_LATER:] += 0.1
+        must(
+            np.array_equal(self.component.simulate(late)[:_LATER], self.component.simulate(_SIGNAL)[:_LATER]),
+            "an output depends on later samples",
+        )
+
+    def begins_every_experiment_anew(self) -> None:
+        first, again = (self.component.simulate(_SIGNAL) for _ in range(2))
+        must(np.array_equal(first, again), "the same signal gives another output: a state is left behind")
+
+    def is_no_function(self) -> None:
+        must(self.component.characteristic() is None, "it says that it is a function of its input")
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ LAYERS = (
     ("signals", "models"),
     ("systems", "measurements", "fitted_model", "model_output"),
     ("records", "plugins"),
-    ("block_chain",),
+    ("block_chain", "second_order_sections"),
     ("linear_blocks", "static_functions"),
     ("numerics",),
     ("arrays",),

@@ -90,10 +90,13 @@ def test_another_split_of_the_gain_is_refused_with_the_remedy(refusals):
         "estimators by 'estimators:' under it"
     )
     assert (
-        "estimator 'kernel' (kernel) fixes it by the rule 'gamma_0 = 1, a constant left in'; the system has "
+        "estimator 'kernel' (kernel) fixes it by the rule 'gamma_0 = 1, a constant left in'; the system's "
         in (second)
     )
-    assert "gamma_0 = 0, which no factor makes 1: its block delays the input more" in second
+    said = (
+        "delays its input by 1 sample, and the estimator counts on 0: set the estimator's 'delay' to 1, or to"
+    )
+    assert said in second
 
 
 def test_no_remedy_is_given_that_another_estimators_rule_forbids(refusals):
@@ -144,8 +147,16 @@ def test_the_remedy_gives_the_same_system_and_a_right_score(plan_of):
     [
         ("[1]", "{kind: kernel, kernel: gaussian, bandwidth: {h0: 1, alpha: 0}}", None),
         ("[2]", "{kind: kernel, kernel: gaussian, bandwidth: {h0: 1, alpha: 0}}", "has 2 in place of 1"),
-        ("[0, 1]", "{kind: kernel, kernel: gaussian, bandwidth: {h0: 1, alpha: 0}}", "gamma_0 = 0"),
-        ("[sin(pi), 1]", "{kind: kernel, kernel: gaussian, bandwidth: {h0: 1, alpha: 0}}", "gamma_0 = 0"),
+        (
+            "[0, 1]",
+            "{kind: kernel, kernel: gaussian, bandwidth: {h0: 1, alpha: 0}}",
+            "set the estimator's 'delay' to 1",
+        ),
+        (
+            "[sin(pi), 1]",
+            "{kind: kernel, kernel: gaussian, bandwidth: {h0: 1, alpha: 0}}",
+            "set the estimator's 'delay' to 1",
+        ),
         (
             "[0, 1]",
             "{kind: kernel, kernel: gaussian, bandwidth: {h0: 1, alpha: 0}, prefilter: "
@@ -155,7 +166,7 @@ def test_the_remedy_gives_the_same_system_and_a_right_score(plan_of):
         (
             "[0, 1]",
             "{kind: orthogonal, basis: {kind: trigonometric, interval: [-2, 2]}, terms: {q0: 1, alpha: 0}}",
-            "gamma_0 = 0",
+            "set the estimator's 'delay' to 1",
         ),
         (
             "[3, 1]",
@@ -252,7 +263,7 @@ def test_every_discrete_method_by_its_own_rule(refusals, b, estimator, said):
             "{kind: hammerstein, nonlinearity: abs, linear: {kind: continuous, a: [3, 2]}}",
             "{kind: kernel, kernel: gaussian, bandwidth: {h0: 1, alpha: 0}}",
             CURVE,
-            "gamma_0 = 0",
+            "set the estimator's 'delay' to 1",
         ),
     ],
 )

@@ -236,6 +236,14 @@ def test_multistep_messages():
     assert refused(Multistep, std=1, switching_time=0) == "must be greater than 0"
     message = "must be [low, high] with low < high"
     assert refused(Multistep, std=1, switching_time=1, limits=[2, 2]) == message
+    open_end = {"distribution": "uniform", "switching_time": 1, "limits": [0, math.inf]}
+    assert refused(Multistep, **open_end) == "a uniform distribution needs finite limits"
+
+
+def test_a_multistep_may_be_clipped_on_one_side_only():
+    one = Multistep(std=2.0, switching_time=1, limits=(0, math.inf)).sample(500, 1.0, rng())
+    free = Multistep(std=2.0, switching_time=1).sample(500, 1.0, rng())
+    np.testing.assert_array_equal(one, np.maximum(free, 0))
 
 
 # --- sine

@@ -201,6 +201,24 @@ def test_dead_zone_and_saturation_add_up_to_the_identity():
     np.testing.assert_allclose(build("dead_zone", **ends)(u) + build("saturation", **ends)(u), u, atol=1e-15)
 
 
+INF = float("inf")
+
+
+@pytest.mark.parametrize("kind", ["saturation", "dead_zone"])
+@quick
+@given(u=inputs)
+def test_a_limit_may_be_missing_on_one_side(kind, u):
+    # Beyond any input a limit is as good as none.
+    for ends, far, breaks in (
+        ({"low": -1, "high": INF}, {"low": -1, "high": 100}, (-1,)),
+        ({"low": -INF, "high": 2}, {"low": -100, "high": 2}, (2,)),
+    ):
+        found = build(kind, gain=3, **ends)
+        assert found.break_points() == breaks
+        limited = u if kind == "saturation" else np.clip(u, -90, 90)
+        np.testing.assert_allclose(found(limited), build(kind, gain=3, **far)(limited), atol=1e-12)
+
+
 @pytest.mark.parametrize(("formula", "value"), [("2", 2.0), ("pi/2", np.pi / 2), ("1 > 0", 1.0)])
 def test_a_formula_without_u_keeps_the_shape(formula, value):
     result = build("expression", expression=formula)(np.zeros((3, 2)))
@@ -226,6 +244,15 @@ def test_breaks_of_a_formula_are_sorted_once_each():
         ("polynomial", {"coefficients": []}, "coefficients", "must be a list of at least one number"),
         ("chen_type_4", {"d": 0}, "d", "must be positive, not 0"),
         ("saturation", {"low": 1, "high": 1}, "", "'low' must be below 'high', not 1 and 1"),
+        ("dead_zone", {"low": INF, "high": 1}, "", "'low' must be below 'high', not inf and 1"),
+        (
+            "saturation",
+            {"low": -INF, "high": INF},
+            "",
+            "'low' and 'high' are infinite: one of them must be a number",
+        ),
+        ("saturation", {"low": 0, "high": float("nan")}, "high", "must be a number, or a formula such as"),
+        ("saturation", {"low": 0, "high": 1, "gain": INF}, "gain", "must be a finite number"),
         ("piecewise_linear", {"points": [[0, 1]]}, "points", "must be at least two points, not 1"),
         ("piecewise_linear", {"points": [[0, 1], 2]}, "points.1", "must be a pair [u, value]"),
         (

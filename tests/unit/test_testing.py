@@ -16,6 +16,7 @@ from hident.config.spec import components
 from hident.estimators.base import EstimatorSpec
 from hident.records import Truth
 from hident.testing import check, checks, plugin
+from hident.testing.systems import MemoryContract
 
 plugins.load()
 _SOUND = '''
@@ -173,6 +174,50 @@ def test_faults_of_a_nonlinearity(how: str, said: str, monkeypatch: pytest.Monke
     with pytest.raises(AssertionError) as caught:
         check(_Square(low=-1, high=1))
     assert said in str(caught.value)
+
+
+class _Play(hi.Backlash):
+    """A nonlinearity with memory that is wrong in some way."""
+
+    how: ClassVar[str] = ""
+    calls: ClassVar[list[int]] = []
+
+    def characteristic(self):
+        return np.abs if self.how == "function" else None
+
+    def simulate(self, u):
+        match self.how:
+            case "own":
+                return u
+            case "shape":
+                return u[1:]
+            case "ahead":
+                return np.roll(u, -1)
+            case "remembers":
+                self.calls.append(1)
+                return u + len(self.calls)
+        return super().simulate(u)
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ("own", "its output is the array of its signal"),
+        ("shape", "it gives shape (120,)"),
+        ("ahead", "an output depends on later samples"),
+        ("remembers", "a state is left behind"),
+        ("function", "it says that it is a function of its input"),
+    ],
+)
+def test_faults_of_a_nonlinearity_with_memory(how: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_Play, "how", how)
+    found = []
+    for one in MemoryContract(_Play(width=0.5)).checks():
+        try:
+            one()
+        except AssertionError as error:
+            found.append(str(error))
+    assert any(said in message for message in found)
 
 
 class _Delay(hi.Hammerstein):

@@ -67,7 +67,7 @@ class TestTheIteration:
             [np.minimum(data.y + 0.6, 0.0), np.clip(data.y, -0.6, 0.0), np.maximum(data.y - 0.5, 0.0)]
         )
         x = 0.3 * x_lin + 0.7 * (data.y - c @ basis).T
-        found = begun.updated(x_lin, c, 0.3).derivatives
+        found = begun.updated(x_lin, c, 0.3, np.zeros(1)).derivatives
         np.testing.assert_allclose(found, data.transforms(x)[..., 1:], atol=1e-12)
 
     def test_the_truth_is_a_fixed_point(self):

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from hident.arrays import Array
-from hident.config.spec import Of, Real, component
+from hident.config.spec import Real, component
 from hident.estimators.base import with_errors
 from hident.estimators.bilinear_models.bilinear import Regression, identity
 from hident.estimators.bilinear_models.bilinear_least_squares import covariance_root
@@ -18,7 +18,7 @@ from hident.estimators.bilinear_models.two_stage import KnownAr, WeightedSpec
 from hident.estimators.normalisation import Normalisation, known_function
 from hident.numerics.autoregression import ArModel
 from hident.records import Estimate, Record
-from hident.systems.base import NonlinearitySpec
+from hident.systems.base import NonlinearitySpec, OfStatic
 
 
 def cramer_rao(regression: Regression, b: Array, a: Array, variance: float) -> tuple[Array, Array]:
@@ -79,7 +79,7 @@ class KnownNonlinearity(WeightedSpec):
 
     holds = ("nonlinearity", "linear", "response")
 
-    nonlinearity: Annotated[NonlinearitySpec, Of("nonlinearity")]
+    nonlinearity: Annotated[NonlinearitySpec, OfStatic()]
     """The known nonlinearity, with its scale: b is not normalised."""
 
     def functions(self) -> tuple[NonlinearitySpec, ...]:

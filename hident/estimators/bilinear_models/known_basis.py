@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from hident.arrays import Array, Characteristic
-from hident.config.spec import Count, Of
+from hident.config.spec import Count
 from hident.errors import EstimationError
 from hident.estimators.base import AtOneInterval, require_finite, require_varying, varies
 from hident.estimators.bilinear_models.bilinear import Regression, normalised, regressors
@@ -24,7 +24,7 @@ from hident.linear_blocks import TransferFunction
 from hident.numerics.least_squares import Factorisation
 from hident.numerics.parts import Parts, following, in_each, longer_than
 from hident.records import Estimate, Record, Response, needed
-from hident.systems.base import NonlinearitySpec
+from hident.systems.base import NonlinearitySpec, OfStatic
 from hident.systems.nonlinearity import Power
 
 
@@ -160,7 +160,7 @@ class BilinearSpec(LaggedSpec):
 
     degree: Annotated[Count, Field(ge=1)] | None = None
     """The basis functions x, x^2, ..., x^degree; give this or 'basis'."""
-    basis: tuple[Annotated[NonlinearitySpec, Of("nonlinearity")], ...] | None = None
+    basis: tuple[Annotated[NonlinearitySpec, OfStatic()], ...] | None = None
     """The basis functions phi_1, ..., phi_m, e.g. [identity, abs, {kind: power, exponent: 3}]."""
 
     @model_validator(mode="after")

@@ -25,7 +25,7 @@ from hident.estimators.moving_horizon.transform.linear_transform import LinearFi
 from hident.estimators.moving_horizon.transform.time_weighted import Horizons
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.numerics.parts import Parts, whole
-from hident.records import Record
+from hident.records import Record, Response
 
 
 def parameter_names(n: int, lowest: int = 0) -> list[str]:
@@ -74,6 +74,16 @@ class MovingHorizonSpec(AtOneInterval):
     """Delay d, in the unit of dt; need not be a multiple of dt."""
     start: Annotated[Real, Field(ge=0)] = 0.0
     """Time t_0 at which the first horizon starts, counted from the start of each experiment."""
+    constant: Flag = False
+    """Estimate a constant that is added to the output, such as the offset of a sensor; else it is zero."""
+
+    def constant_names(self) -> list[str]:
+        """The name of the constant's value, if it is estimated."""
+        return ["constant"] if self.constant else []
+
+    def free_parameters(self) -> int | None:
+        found = super().free_parameters()
+        return None if found is None else found + self.constant
 
     def fewest_samples(self) -> int:
         return 2
@@ -214,6 +224,10 @@ class IterativeSpec(MovingHorizonSpec):
         """The number of parameters of the first stage besides a_1, ..., a_n and b_1, ..., b_m."""
         raise NotImplementedError
 
+    def first_parameters(self, stage: StageSpec) -> int:
+        """The number of parameters of the first stage."""
+        return stage.n + stage.m + self.function_parameters() + self.constant
+
     def tried_delays(self) -> Iterator[tuple[float, str]]:
         if self.second is not None:
             yield from ((delay, "second.delays") for delay in self.second.delays)
@@ -224,7 +238,7 @@ class IterativeSpec(MovingHorizonSpec):
             stages.append(self.first.of_structure(self.largest_n, self.largest_n - 1))
         with under("first"):
             for stage in stages:
-                stage.horizons(n, dt, self.start, stage.n + stage.m + self.function_parameters(), parts)
+                stage.horizons(n, dt, self.start, self.first_parameters(stage), parts)
         if self.second is not None:
             with under("second"):
                 self.second.check(n, dt, self.start, gain=False, parts=parts)
@@ -244,7 +258,7 @@ class IterativeSpec(MovingHorizonSpec):
         """The values of :meth:`stage_names`, from the first stage's block, regressors and horizons."""
         block, last_phi = first, phi
         if second is not None:
-            block, last_phi, horizons = second.block, second.phi, second.horizons
+            block, last_phi, horizons = second.block, second.regressors, second.horizons
         return [
             *regression_values(block, last_phi, self.largest_n),
             *regression_values(first, phi, self.largest_n),
@@ -252,6 +266,16 @@ class IterativeSpec(MovingHorizonSpec):
             first.settling_time(),
             horizons.eta,
         ]
+
+
+def known(constant: float | None) -> list[float]:
+    """The constant's value, if it was estimated."""
+    return [] if constant is None else [constant]
+
+
+def offset(response: Response, constant: float | None) -> Response:
+    """The response with a constant added to it, if there is one."""
+    return response if constant is None else lambda u, dt: response(u, dt) + constant
 
 
 def structure_of(block: ContinuousTransferFunction) -> tuple[int, int, float]:

@@ -11,6 +11,8 @@ from pydantic import model_validator
 from hident.config.spec import component
 from hident.estimators.moving_horizon.iterative import (
     MovingHorizonSpec,
+    known,
+    offset,
     regression_names,
     regression_values,
     structure_of,
@@ -56,13 +58,14 @@ class LinearModel(MovingHorizonSpec):
 
     def check_horizons(self, parts: Parts, dt: float) -> None:
         with under("block"):
-            self.block.check(parts[-1].stop, dt, self.start, gain=True, parts=parts)
+            self.block.check(parts[-1].stop, dt, self.start, gain=True, constant=self.constant, parts=parts)
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (known_function("the nonlinearity is u", np.positive),)
 
     def names(self) -> list[str]:
-        return [*regression_names(self.block.most), "n", "m", "delay", "settling_time", "horizons"]
+        found = ["n", "m", "delay", "settling_time", "horizons"]
+        return [*regression_names(self.block.most), *found, *self.constant_names()]
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         dt, eta = self.sampling_interval(record), self.block.horizon
@@ -75,13 +78,15 @@ class LinearModel(MovingHorizonSpec):
             eta=eta,
             start=self.start,
             gain=None,
+            constant=self.constant,
             parts=record.experiments,
         )
         block = found.block
-        values = regression_values(block, found.phi, self.block.most)
+        values = regression_values(block, found.regressors, self.block.most)
+        ended = block.settling_time(), found.horizons.count
         return Estimate(
             continuous=block,
-            response=block.respond,
-            values=self.named(values, *structure_of(block), block.settling_time(), found.horizons.count),
+            response=offset(block.respond, found.constant),
+            values=self.named(values, *structure_of(block), *ended, *known(found.constant)),
             details=found_searches(None, search),
         )

@@ -4,6 +4,7 @@
 A, B    1 + a_1 s + ... + a_n s^n and b_0 + b_1 s + ... + b_m s^m; the block is B e^(-ds) / A
 c       coefficients of the nonlinearity in a given basis (Hammerstein), where b_0 = 1
 e       slopes e_-2, e_-1, e_2 of the inverse nonlinearity (Wiener), where e_1 = 1
+k       constant of the output, if there is one
 J       derivative of the output by all parameters, shape (N, P)
 ======  =====================================================================================
 
@@ -56,10 +57,10 @@ _ROUNDING = 1e-12
 class Refinement:
     """A structured output-error fit.
 
-    ``coefficients`` are c (J,) or e_-2, e_-1, e_2; ``standard_errors`` (P,) are those of a_1, ..., a_n, of
-    b_1, ..., b_m (Hammerstein) or b_0, ..., b_m (Wiener), then of the coefficients. ``left`` is the length of
-    the step that is left at the end, in standard errors; ``stalled`` says that the iteration ended on a kink
-    of the criterion, where it is no measure of the distance to the minimum.
+    ``coefficients`` are c (J,) or e_-2, e_-1, e_2, then k; ``standard_errors`` (P,) are those of a_1, ...,
+    a_n, of b_1, ..., b_m (Hammerstein) or b_0, ..., b_m (Wiener), then of the coefficients. ``left`` is the
+    length of the step that is left at the end, in standard errors; ``stalled`` says that the iteration ended
+    on a kink of the criterion, where it is no measure of the distance to the minimum.
     """
 
     block: ContinuousTransferFunction
@@ -188,8 +189,10 @@ def refine_hammerstein(
     block: ContinuousTransferFunction,
     dt: float,
     parts: Parts | None = None,
+    *,
+    constant: bool = False,
 ) -> Refinement:
-    """Fit y = B e^(-ds)/A sum_j c_j phi_j(u) + white noise, with b_0 = 1.
+    """Fit y = B e^(-ds)/A sum_j c_j phi_j(u) + k + white noise, with b_0 = 1.
 
     Parameters
     ----------
@@ -203,11 +206,13 @@ def refine_hammerstein(
         Sampling interval.
     parts : sequence of slices, optional
         Where the experiments stand; one by default.
+    constant : bool
+        Whether k is estimated; else it is zero.
 
     Returns
     -------
     Refinement
-        With J coefficients c.
+        With J coefficients c, and k.
 
     Raises
     ------
@@ -218,17 +223,18 @@ def refine_hammerstein(
     require_finite(y)
     if block.static_gain() == 0.0:
         raise EstimationError("the start has no static gain: its b_0 is zero")
-    n = len(block.a)
+    n, size = len(block.a), basis_values.shape[1]
+    added = [np.ones(len(y))] if constant else []
 
     def model(theta: Array) -> _Point | None:
         at = _stable(theta[:n], np.concatenate(([1.0], theta[n:])), block.delay)
         if at is None:
             return None
-        responses = np.column_stack([responses_in(parts, at, phi, dt) for phi in basis_values.T])
+        responses = np.column_stack([*(responses_in(parts, at, phi, dt) for phi in basis_values.T), *added])
         c = _factored(responses).solution(y)
 
         def derivatives() -> Array:
-            outer = np.delete(sensitivities(at, basis_values @ c, dt, parts), n, axis=1)
+            outer = np.delete(sensitivities(at, basis_values @ c[:size], dt, parts), n, axis=1)
             return np.hstack([outer, responses])
 
         return _Point(theta, at, c, y - responses @ c, derivatives)
@@ -244,8 +250,10 @@ def refine_wiener(
     nonlinearity: FourSegment,
     dt: float,
     parts: Parts | None = None,
+    *,
+    constant: float | None = None,
 ) -> Refinement:
-    """Fit y = f(B e^(-ds)/A u) + white noise, f being the four-segment function of eq. (32).
+    """Fit y = f(B e^(-ds)/A u) + k + white noise, f being the four-segment function of eq. (32).
 
     Parameters
     ----------
@@ -259,11 +267,13 @@ def refine_wiener(
         Sampling interval.
     parts : sequence of slices, optional
         Where the experiments stand; one by default.
+    constant : float, optional
+        The start of k; without it k is zero.
 
     Returns
     -------
     Refinement
-        With the coefficients e_-2, e_-1, e_2.
+        With the coefficients e_-2, e_-1, e_2, and k.
 
     Raises
     ------
@@ -276,16 +286,17 @@ def refine_wiener(
     points = nonlinearity.lower, nonlinearity.upper
 
     def model(theta: Array) -> _Point | None:
-        at, e = _stable(theta[:n], theta[n:p], block.delay), theta[p:]
+        at, e, k = _stable(theta[:n], theta[n:p], block.delay), theta[p : p + 3], theta[p + 3 :]
         if at is None or not np.all(e > 0.0):
             return None
         x = responses_in(parts, at, u, dt)
 
         def derivatives() -> Array:
             by_block = forward_slope(x, e, *points)[:, None] * sensitivities(at, u, dt, parts)
-            return np.hstack([by_block, forward_by_slopes(x, e, *points)])
+            by_constant = np.ones((len(y), len(k)))
+            return np.hstack([by_block, forward_by_slopes(x, e, *points), by_constant])
 
-        return _Point(theta, at, e, y - forward(x, e, *points), derivatives)
+        return _Point(theta, at, theta[p:], y - forward(x, e, *points) - k.sum(), derivatives)
 
-    start = np.array([*block.a, *block.b, *nonlinearity.e])
+    start = np.array([*block.a, *block.b, *nonlinearity.e, *([] if constant is None else [constant])])
     return _minimised(model, start, float(np.linalg.norm(y)), kinks=True)

@@ -15,7 +15,7 @@ from hident.estimators.moving_horizon.hammerstein.static_functions import (
     PolynomialFunction,
     ThreeSegmentFunction,
 )
-from hident.estimators.moving_horizon.iterative import IterativeSpec
+from hident.estimators.moving_horizon.iterative import IterativeSpec, offset
 from hident.estimators.moving_horizon.output_error import Refinement, refine_hammerstein, refine_wiener
 from hident.estimators.moving_horizon.wiener.four_segment import FourSegment
 from hident.estimators.moving_horizon.wiener.iterative_wiener import IterativeWiener, WienerResponse
@@ -37,6 +37,11 @@ def _refinable(start: EstimatorSpec) -> EstimatorSpec:
     if start.second is not None and start.second.structure == "search":
         raise ValueError("must have a given structure: 'second.structure: search' leaves its parameters open")
     return start
+
+
+def _last(found: Refinement, size: int) -> float | None:
+    """The constant of the output, if it stands behind so many coefficients."""
+    return next(iter(found.coefficients[size:].tolist()), None)
 
 
 @component("estimator", "output_error")
@@ -86,8 +91,13 @@ class OutputError(AtOneInterval):
         a = [f"a_{i}" for i in range(1, n + 1)]
         if isinstance(start, IterativeHammerstein):
             b = [f"b_{i}" for i in range(1, m + 1)]
-            return [*a, *b, *(f"c_{j}" for j in range(1, start.nonlinearity.size + 1))]
-        return [*a, *(f"b_{i}" for i in range(m + 1)), "e_-2", "e_-1", "e_2"]
+            own = [f"c_{j}" for j in range(1, start.nonlinearity.size + 1)]
+        else:
+            b, own = [f"b_{i}" for i in range(m + 1)], ["e_-2", "e_-1", "e_2"]
+        return [*a, *b, *own, *start.constant_names()]
+
+    def free_parameters(self) -> int:
+        return len(self.parameters())
 
     def names(self) -> list[str]:
         return [*with_errors(self.parameters()), "iterations", "converged", "step_left"]
@@ -99,25 +109,34 @@ class OutputError(AtOneInterval):
         assert block is not None
         assert dt is not None
         if isinstance(function, PolynomialFunction | ThreeSegmentFunction):
-            found = refine_hammerstein(function.basis(record.u), record.y, block, dt, record.experiments)
-            refined = replace(function, c=tuple(found.coefficients.tolist()))
+            found = refine_hammerstein(
+                function.basis(record.u),
+                record.y,
+                block,
+                dt,
+                record.experiments,
+                constant=self.start.constant,
+            )
+            size = len(function.c)
+            refined = replace(function, c=tuple(found.coefficients[:size].tolist()))
             return Estimate(
                 nonlinearity=refined,
                 continuous=found.block,
-                response=lambda u, step: found.block.respond(refined(u), step),
+                response=offset(lambda u, step: found.block.respond(refined(u), step), _last(found, size)),
                 values=self._values(found, found.block.b[1:]),
             )
         assert isinstance(function, FourSegment)
         bent = replace(function, gain=1.0)
         start = block.scaled(function.gain)
-        found = refine_wiener(record.u, record.y, start, bent, dt, record.experiments)
+        constant = begun.values.get("constant")
+        found = refine_wiener(record.u, record.y, start, bent, dt, record.experiments, constant=constant)
         gain = found.block.b[0]
-        e_far, e_near, e_2 = found.coefficients.tolist()
+        e_far, e_near, e_2 = found.coefficients[:3].tolist()
         unit, curve = found.block.scaled(1.0 / gain), replace(function, e=(e_far, e_near, e_2), gain=gain)
         return Estimate(
             nonlinearity=curve,
             continuous=unit,
-            response=WienerResponse(unit, curve),
+            response=offset(WienerResponse(unit, curve), _last(found, 3)),
             values=self._values(found, found.block.b),
         )
 

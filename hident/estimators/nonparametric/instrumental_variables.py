@@ -15,14 +15,14 @@ import numpy as np
 from pydantic import Field
 
 from hident.arrays import Array
-from hident.config.spec import Count, Of, component
+from hident.config.spec import Count, component
 from hident.errors import EstimationError
 from hident.estimators.base import require_finite
 from hident.estimators.nonparametric.least_squares import DynamicsSpec, dynamics, lagged
 from hident.numerics.least_squares import ILL_CONDITIONED, lengths
 from hident.numerics.parts import Parts
 from hident.records import Estimate, Record
-from hident.systems.base import NonlinearitySpec
+from hident.systems.base import NonlinearitySpec, OfStatic
 
 
 def instrumental_variables(
@@ -124,7 +124,7 @@ class InstrumentalVariables(DynamicsSpec):
 
     order: Annotated[Count, Field(ge=1)]
     """Order p of the autoregression; a high one also approximates an invertible ARMA block."""
-    instrument: Annotated[NonlinearitySpec, Of("nonlinearity")]
+    instrument: Annotated[NonlinearitySpec, OfStatic()]
     """The function m of the input: correlated with the nonlinearity's output."""
     ma_order: Annotated[Count, Field(ge=0)] = 0
     """Order q of the moving average b_1, ..., b_q (b_0 = 1)."""

@@ -239,6 +239,11 @@ class Kernel(NonparametricSpec):
     >>> kernel = hi.Kernel(kernel="gaussian", bandwidth={"h0": 0.5, "alpha": "1/5"}, prefilter=known)
     >>> hi.fit(kernel, record).nonlinearity(np.array([-0.5, 0.5])).round(1)
     array([0.5, 0.5])
+    >>> later = hi.Hammerstein(nonlinearity="abs", linear=hi.Fir(b=[0, 0, 1]))
+    >>> delayed = hi.simulate(later, hi.Iid(distribution="uniform", low=-1, high=1), 500)
+    >>> searched = hi.Kernel(kernel="gaussian", bandwidth={"h0": 0.5, "alpha": "1/5"}, delay="search")
+    >>> hi.fit(searched, delayed).values
+    {'delay': 2.0}
     """
 
     kernel: KernelName

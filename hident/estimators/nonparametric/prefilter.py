@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Annotated, Any, Protocol, Self
 
 import numpy as np
+from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from hident.arrays import Array, Characteristic, Flags, Index
-from hident.config.spec import Component, Of, Real, Spec, components
+from hident.arrays import Array, Characteristic, Index
+from hident.config.spec import Component, Count, Of, Real, Spec, components
 from hident.config.suggest import one_of
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_varying
-from hident.estimators.normalisation import Normalisation, first_coefficient
+from hident.estimators.nonparametric.delay import (
+    FEWEST_PAIRS,
+    Delay,
+    DelaySearch,
+    SomeSamples,
+    delayed,
+    search_delay,
+)
+from hident.estimators.normalisation import Normalisation, behind, first_coefficient
 from hident.linear_blocks import TransferFunction, significant
 from hident.numerics.parts import Parts, in_each, longer_than, whole
 from hident.records import Estimate, Record, needed
@@ -54,7 +63,10 @@ def prefilter(y: Array, linear: TransferFunction, parts: Parts | None = None) ->
     measured. An experiment has none, so its first p filtered samples are dropped and N - p remain.
     """
     if significant(linear.b)[0] == 0.0:
-        raise EstimationError("the linear block has b_0 = 0: it delays its input and has no causal inverse")
+        raise EstimationError(
+            "the linear block has b_0 = 0: it delays its input and has no causal inverse; leave its leading "
+            "zeros out and give their number as 'delay' of the estimator"
+        )
     if not (long := longer_than(parts or whole(len(y)), len(linear.a))):
         raise EstimationError(
             f"no experiment holds more than the {len(linear.a)} samples that the filter drops"
@@ -84,14 +96,8 @@ def _undone(y: Array, linear: TransferFunction) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class FilteredRecord(Record):
-    """The samples of ``whole`` that are ``kept``, with a filtered output; their order follows from its own.
-
-    ``kept`` (N of ``whole``,) tells of each sample whether it is.
-    """
-
-    whole: Record | None = None
-    kept: Flags | None = None
+class FilteredRecord(SomeSamples):
+    """The samples of a record that are kept, with a filtered output; their order follows from its own."""
 
     @classmethod
     def of(cls, record: Record, linear: TransferFunction) -> Self:
@@ -192,12 +198,15 @@ def _placed(errors: Array, samples: Record, estimate: Estimate) -> Array:
     """Errors of the samples (N,) as errors of the output, where its record has them; nan elsewhere."""
     if not np.isfinite(errors).all():
         raise EstimationError("the regression is not finite at some sample")
-    if not isinstance(samples, FilteredRecord):
-        return errors
-    # y_k = b_0 y^f_k + what is past, so that this is the error of y_k given the past.
-    placed = np.full(len(needed(samples.whole)), np.nan)
-    placed[needed(samples.kept)] = needed(estimate.linear).b[0] * errors
-    return placed
+    if isinstance(samples, FilteredRecord):
+        # y_k = b_0 y^f_k + what is past, so that this is the error of y_k given the past; a delay leaves the
+        # first coefficient at its lag.
+        errors = next(b for b in needed(estimate.linear).b if b) * errors
+    while isinstance(samples, SomeSamples):
+        placed = np.full(len(needed(samples.whole)), np.nan)
+        placed[needed(samples.kept)] = errors
+        errors, samples = placed, needed(samples.whole)
+    return errors
 
 
 def _filtered(
@@ -212,17 +221,30 @@ class NonparametricSpec(EstimatorSpec):
     """Base of the estimators of a characteristic by regression, on the output or the filtered output.
 
     With a prefilter the estimate also holds what the prefilter estimated. The first p samples of each
-    experiment are dropped (see :func:`prefilter`), so N - p pairs (u_k, y^f_k) of each remain.
+    experiment are dropped (see :func:`prefilter`), so N - p pairs (u_k, y^f_k) of each remain. With a delay d
+    all is done with the pairs (u_{k-d}, y_k), and the linear block that is found is delayed by d.
     """
 
     prefilter: Annotated[EstimatorSpec, _OfDynamics("estimator")] | None = None
     """Estimator of the linear block, to be undone first (drops p samples); none: the plain output is used."""
     known_point: KnownPoint | None = None
     """A point where the characteristic is known: a constant is added so that the estimate agrees there."""
+    delay: Delay = 0
+    """Samples by which the linear block delays its input; search: those on whose input y depends most."""
+    largest_delay: Annotated[Count, Field(ge=1)] = 10
+    """Largest delay that is tried (search)."""
+
+    @model_validator(mode="after")
+    def _only_a_search_has_a_largest_delay(self) -> Self:
+        if self.delay != "search" and "largest_delay" in self.model_fields_set:
+            raise ValueError("only 'delay: search' takes largest_delay")
+        return self
 
     def takes_experiments(self) -> Experiments:
-        # Without a prefilter the order of the samples does not matter.
-        return self.prefilter.takes_experiments() if self.prefilter else "any"
+        if self.prefilter:
+            return self.prefilter.takes_experiments()
+        # Without a prefilter and a delay the order of the samples does not matter.
+        return "any" if self.delay == 0 else "at_one_interval"
 
     def draws(self) -> bool:
         return self.prefilter is not None and self.prefilter.draws()
@@ -236,15 +258,33 @@ class NonparametricSpec(EstimatorSpec):
         return {}
 
     def names(self) -> Sequence[str]:
-        return self.prefilter.names() if self.prefilter else ()
+        names = self.prefilter.names() if self.prefilter else ()
+        if self.delay == 0:
+            return names
+        return [*self._later(dict.fromkeys(names, 0.0), 0 if self.delay == "search" else self.delay)]
+
+    def _later(self, values: Mapping[str, float], delay: int) -> dict[str, float]:
+        """The values of a prefilter behind a delay, b_0, ... at its lags, and the delay itself.
+
+        Which lags these are is not known before a search, so that they have no names there.
+        """
+        named = {
+            f"b_{int(name[2:]) + delay}" if name.startswith("b_") else name: value
+            for name, value in values.items()
+            if not (self.delay == "search" and name.startswith("b_"))
+        }
+        return {**named, "delay": float(delay)}
 
     def provides(self) -> frozenset[str]:
         more = self.prefilter.provides() | {"unfiltered"} if self.prefilter else frozenset()
-        own = frozenset(f"value {name}" for name in self.names())
-        return more | own | {"nonlinearity", "left_out"}
+        parts = {part for part in more if not part.startswith("value ")}
+        return frozenset({"nonlinearity", "left_out", *parts, *(f"value {name}" for name in self.names())})
 
     def fewest_samples(self) -> int:
-        return self.prefilter.fewest_samples() if self.prefilter else 1
+        fewest = self.prefilter.fewest_samples() if self.prefilter else 1
+        if self.delay == "search":
+            return self.largest_delay + max(fewest, FEWEST_PAIRS)
+        return self.delay + fewest
 
     def explains(self) -> bool:
         return True
@@ -267,36 +307,77 @@ class NonparametricSpec(EstimatorSpec):
 
     def _regressed(self, estimate: Estimate, record: Record) -> Record:
         """What the regression was, or would be, estimated from."""
-        return record if self.prefilter is None else FilteredRecord.of(record, needed(estimate.linear))
+        delay = 0 if self.delay == 0 else int(estimate.values["delay"])
+        pairs = record if self.delay == 0 else self._pairs(record, delay)
+        if self.prefilter is None:
+            return pairs
+        linear = needed(estimate.linear)
+        return FilteredRecord.of(pairs, replace(linear, b=linear.b[delay:]))
 
     def free_parameters(self) -> None:
         return None
 
     def normalisations(self) -> tuple[Normalisation, ...] | None:
+        delay = None if self.delay == "search" else self.delay
         if self.prefilter is not None:
-            return self.prefilter.normalisations()
+            rules = self.prefilter.normalisations()
+            return None if rules is None else tuple(behind(rule, delay) for rule in rules)
         # The regression on the newest input: gamma_0 times the characteristic, and the mean of all the rest.
         plain = first_coefficient(symbol="gamma")
         left_in = "" if self.known_point else ", a constant left in"
-        return (replace(plain, rule=plain.rule + left_in),)
+        return (behind(replace(plain, rule=plain.rule + left_in), delay, responses=True),)
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         self.require_experiments(record)
         record.once("its input varies", lambda: require_varying(record.u, "input"))
-        if self.prefilter is None:
-            regression = self.regression(record)
-            left_out = EachLeftOut(regression, record, self.known_point)
-            return Estimate(self._anchored(regression), left_out, values=self.values_of(regression))
-        make = partial(_filtered, self.prefilter, record, rng)
-        dynamics, samples = make() if self.prefilter.draws() else record.once(self._shared, make)
+        if self.delay == 0:
+            return self._fitted(record, record, 0, rng)
+        search = self._search(record, rng) if self.delay == "search" else None
+        delay = self.delay if search is None else search.chosen
+        assert isinstance(delay, int)
+        pairs = self._pairs(record, delay)
+        require_varying(pairs.u, "input")
+        found = self._fitted(record, pairs, delay, rng)
+        return found if search is None else replace(found, details={**found.details, "delay": search})
+
+    def _pairs(self, record: Record, delay: int) -> Record:
+        """The pairs behind a delay, the same ones for all estimators of this record."""
+        return record.once(("delayed", delay), partial(delayed, record, delay))
+
+    def _fitted(self, record: Record, pairs: Record, delay: int, rng: np.random.Generator | None) -> Estimate:
+        """The estimate from the pairs of the record behind a delay, as if they were at one time."""
+        dynamics, samples = (Estimate(), pairs) if self.prefilter is None else self._undone(pairs, rng)
         regression = self.regression(samples)
+        values = dynamics.values if self.delay == 0 else self._later(dynamics.values, delay)
+        values = {**values, **self.values_of(regression)}
+        left_out = EachLeftOut(regression, samples, self.known_point)
+        if self.prefilter is None:
+            return Estimate(self._anchored(regression), left_out, values=values)
+        linear = dynamics.linear
+        if delay and linear is not None:
+            linear = replace(linear, b=(0.0,) * delay + linear.b)
         return replace(
             dynamics,
             nonlinearity=self._anchored(regression),
-            left_out=EachLeftOut(regression, samples, self.known_point),
-            unfiltered=lambda: self.model_copy(update={"prefilter": None}).fit(record),
-            values={**dynamics.values, **self.values_of(regression)},
+            left_out=left_out,
+            linear=linear,
+            unfiltered=lambda: self.model_copy(update={"prefilter": None, "delay": delay}).fit(record),
+            values=values,
         )
+
+    def _undone(self, pairs: Record, rng: np.random.Generator | None) -> tuple[Estimate, Record]:
+        """The prefilter's linear block, and the pairs with it undone."""
+        assert self.prefilter is not None
+        make = partial(_filtered, self.prefilter, pairs, rng)
+        return make() if self.prefilter.draws() else pairs.once(self._shared, make)
+
+    def _search(self, record: Record, rng: np.random.Generator | None) -> DelaySearch:
+        def outputs(delay: int) -> Record:
+            pairs = delayed(record, delay, self.largest_delay)
+            return pairs if self.prefilter is None else self._undone(pairs, rng)[1]
+
+        make = partial(search_delay, outputs, self.largest_delay)
+        return make() if self.draws() else record.once(("delay", self.largest_delay, self._shared), make)
 
     @cached_property
     def _shared(self) -> Hashable:

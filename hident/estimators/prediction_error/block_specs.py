@@ -22,7 +22,7 @@ from hident.static_functions import (
     Saturation,
     StaticFunction,
 )
-from hident.systems.base import NonlinearitySpec
+from hident.systems.base import NonlinearitySpec, OfStatic
 from hident.systems.linear import DiscreteSpec, LinearSpec
 
 _POINTS = 2001
@@ -76,6 +76,8 @@ class LinearBlock(BlockSpec):
             raise ValueError(f"'start' must be a discrete block, not {self.start.kind}")
         block = self.start.transfer_function()
         assert isinstance(block, TransferFunction)
+        if block.integrators():
+            raise ValueError("'start' has a pole at 1, and the blocks that are fitted are stable")
         if any(block.b[: self.nk]) or len(block.b) > self.nk + self.nb or len(block.a) > self.nf:
             raise ValueError(
                 f"'start' has coefficients beyond nb = {self.nb}, nf = {self.nf}, nk = {self.nk}"
@@ -102,7 +104,7 @@ class StaticSpec(BlockSpec):
 
     range: Interval | None = None
     """Ends [low, high] of what the basis spans, beyond which it is a line; those of the signal by default."""
-    start: Annotated[NonlinearitySpec, Of("nonlinearity")] | None = None
+    start: Annotated[NonlinearitySpec, OfStatic()] | None = None
     """A nonlinearity to start from: the nearest function of this kind over ``range``."""
 
     @model_validator(mode="after")

@@ -58,11 +58,10 @@ class LimitFigure(FigureSpec):
             yield ("table",), f"the table '{self.table}' must be of kind limit, not {source.kind}"
             return
         yield from ((("table",), said) for said in not_numeric(plan, source.x, positive=self.log_x))
-        if self.interval is not None and "nonlinearity" not in plan.units[0].data.system.provides():
-            yield (
-                ("interval",),
-                f"the system '{plan.units[0].data.system.kind}' has no true nonlinearity to show",
-            )
+        systems = [unit.data.system for unit in plan.units if self.interval is not None]
+        lacking = [one.kind for one in systems if "nonlinearity" not in one.provides()]
+        if lacking:
+            yield ("interval",), f"the system '{lacking[0]}' has no true nonlinearity to show"
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         source = results.plan.experiment.tables[self.table]

@@ -47,7 +47,8 @@ class Realisation(OneTrialFigure):
             unit = next(unit for unit in plan.units if unit.name == estimator)
             if "nonlinearity" not in unit.estimator.provides():
                 yield ("estimators", i), f"the estimator '{estimator}' does not give a nonlinearity"
-        if "nonlinearity" not in plan.units[0].data.system.provides():
+        systems = [unit.data.system for unit in plan.units if unit.name in self.estimators]
+        if any("nonlinearity" not in system.provides() for system in systems):
             yield ("kind",), "the system has no true nonlinearity to show"
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:

@@ -22,7 +22,7 @@ from hident.estimators.moving_horizon.hammerstein.stage import (
     first_stage,
 )
 from hident.estimators.moving_horizon.hammerstein.static_functions import ThreeSegmentFunction
-from hident.estimators.moving_horizon.iterative import IterativeSpec, padded
+from hident.estimators.moving_horizon.iterative import IterativeSpec, known, offset, padded
 from hident.estimators.moving_horizon.partition import require_inside
 from hident.estimators.moving_horizon.searches import StructureSearch, found_searches
 from hident.estimators.moving_horizon.transform.linear_transform import (
@@ -74,7 +74,8 @@ class IterativeHammerstein(IterativeSpec):
         coefficients = [f"c_{j}" for j in range(1, self.nonlinearity.size + 1)]
         points = ["u_-1", "u_1"] if isinstance(self.nonlinearity, ThreeSegment) else []
         ended = ["iterations", "converged"]
-        return [*self.stage_names(), *self.error_names(1), *coefficients, *ended, *points]
+        found = [*self.stage_names(), *self.error_names(1), *coefficients, *ended, *points]
+        return [*found, *self.constant_names()]
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (unit_static_gain(),)
@@ -103,6 +104,7 @@ class IterativeHammerstein(IterativeSpec):
                 start=self.start,
                 tolerance=self.tolerance,
                 max_iterations=self.max_iterations,
+                constant=self.constant,
                 parts=record.experiments,
             )
         except ValueError as error:
@@ -121,6 +123,7 @@ class IterativeHammerstein(IterativeSpec):
             eta=eta,
             start=self.start,
             gain=1.0,
+            constant=self.constant,
             parts=record.experiments,
         )
 
@@ -132,21 +135,24 @@ class IterativeHammerstein(IterativeSpec):
         second: LinearFit | None,
         search: StructureSearch | None,
     ) -> Estimate:
-        block = first.block if second is None else second.block
+        block, constant = first.block, first.constant
+        if second is not None:
+            block, constant = second.block, second.constant
         function = first.function
         points = (function.lower, function.upper) if isinstance(function, ThreeSegmentFunction) else ()
         values = self.named(
-            self.stage_values(first.block, first.phi, first.horizons, second),
+            self.stage_values(first.block, first.regressors, first.horizons, second),
             self._errors(record, dt, first, second),
             function.c,
             first.iteration.iterations,
             first.iteration.converged,
             points,
+            *known(constant),
         )
         return Estimate(
             nonlinearity=function,
             continuous=block,
-            response=lambda u, dt: block.respond(function(u), dt),
+            response=offset(lambda u, dt: block.respond(function(u), dt), constant),
             values=values,
             details={"history": first.history(), **found_searches(first.partition, search)},
         )
@@ -160,16 +166,19 @@ class IterativeHammerstein(IterativeSpec):
         """
         bread = np.asarray(np.linalg.solve(first.phi.T @ first.jacobian, first.phi.T), dtype=float)
         derivative = influence(bread, first.horizons, first.knots, first.block.a)
-        block = first.block
+        block, constant = first.block, first.constant
         if second is not None:
-            block = second.block
+            block, constant = second.block, second.constant
             onto = np.asarray(np.linalg.pinv(second.phi), dtype=float)
             operator, levels = second.horizons.held_runs(record.u, block.delay, len(block.b))
             basis = second.horizons.transform(operator, first.function.basis(levels))
             by_c = onto @ np.einsum("mkp,m->kp", basis, np.array(block.b))
             own = influence(onto, second.horizons, second.knots, block.a)
-            derivative = own - by_c @ derivative[-len(first.function.c) :]
+            coefficients = len(first.block.a) + len(first.block.b) - 1
+            size = len(first.function.c)
+            derivative = own - by_c @ derivative[coefficients : coefficients + size]
         residual = record.y - responses_in(record.experiments, block, first.function(record.u), dt)
+        residual = residual - (constant or 0.0)
         found = standard_errors(derivative, residual)
         n = len(block.a)
         return padded(found[:n], found[n : n + len(block.b) - 1], self.largest_n, 1)

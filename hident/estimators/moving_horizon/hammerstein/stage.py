@@ -73,7 +73,8 @@ class FirstStage:
     """What the first stage found.
 
     ``phi`` (N, P) are the regressors of the last iteration; ``jacobian`` (N, P) also counts what the
-    coefficients c_j do to the internal variable. ``partition`` is the search for partition points.
+    coefficients c_j do to the internal variable; the last are those of the output's ``constant``, None if
+    that is not estimated. ``partition`` is the search for partition points.
     """
 
     function: StaticFunction
@@ -84,11 +85,21 @@ class FirstStage:
     knots: Knots
     iteration: Iteration
     partition: PartitionSearch | None
+    constant: float | None = None
+
+    @property
+    def regressors(self) -> Array:
+        """Those of the block and the static function."""
+        return self.phi if self.constant is None else self.phi[:, :-1]
 
     def history(self) -> History:
         """The parameters against the iteration."""
-        a, b, c = np.split(self.iteration.history, [len(self.block.a), -len(self.function.c)], axis=1)
-        coefficients = {f"c_{j}": one for j, one in enumerate(c.T, start=1)}
+        n = len(self.block.a)
+        a, b, c = np.split(self.iteration.history, [n, n + len(self.block.b) - 1], axis=1)
+        size = len(self.function.c)
+        coefficients = {f"c_{j}": one for j, one in enumerate(c.T[:size], start=1)}
+        if self.constant is not None:
+            coefficients["constant"] = c[:, size]
         converged = bool(self.iteration.converged[0])
         return History(a, np.insert(b, 0, 1.0, axis=1), coefficients, converged)
 
@@ -104,9 +115,13 @@ def first_stage(
     start: float,
     tolerance: float,
     max_iterations: int,
+    constant: bool = False,
     parts: Parts | None = None,
 ) -> FirstStage:
     """Stage 1 from a held input ``u`` (N,) and the output ``y`` (N,), of one experiment or several ``parts``.
+
+    ``constant`` says whether one is added to the output. It is a function beside those of the input that is 1
+    and passes the block, whose static gain is 1, as it is.
 
     Raises
     ------
@@ -115,7 +130,7 @@ def first_stage(
     ValueError
         If the horizons do not suit the record.
     """
-    horizons = stage.horizons(len(u), dt, start, stage.n + stage.m + nonlinearity.size, parts)
+    horizons = stage.horizons(len(u), dt, start, stage.n + stage.m + nonlinearity.size + constant, parts)
     knots = Knots.of(u, delay, dt, parts)
     output = horizons.transform(horizons.sampled(knots), y)
     # The input's transforms are sums over the levels that it is held at, of which there are few.
@@ -127,6 +142,10 @@ def first_stage(
         count, size = functions.shape[1:]
         basis = horizons.transform(operator, functions.reshape(len(levels), -1))
         basis = basis.reshape(stage.m + 1, horizons.count, count, size).transpose(2, 0, 1, 3)
+        if constant:
+            one = np.zeros((*basis.shape[:-1], 1))
+            one[:, 0, :, 0] = horizons.constant
+            basis = np.concatenate((basis, one), axis=-1)
         found = iterate(
             output, basis, identity, m=stage.m, tolerance=tolerance, max_iterations=max_iterations
         )
@@ -153,7 +172,8 @@ def first_stage(
     phi = np.column_stack((*-output[1:], *derivatives[1:], basis[0]))
     jacobian = phi.copy()
     jacobian[:, n + stage.m :] += np.einsum("mkp,m->kp", basis[1:], b)
-    return FirstStage(build(c), block, phi, jacobian, horizons, knots, iteration, partition)
+    c, k = (c[:-1], float(c[-1])) if constant else (c, None)
+    return FirstStage(build(c), block, phi, jacobian, horizons, knots, iteration, partition, k)
 
 
 def _polynomial(c: Array) -> StaticFunction:

@@ -5,7 +5,8 @@ the block has a held, known input x and a sampled output y,
 
     y + a_1 y^(1) + ... + a_n y^(n) = b_0 x(t - d) + ... + b_m x^(m)(t - d),
 
-and its static gain b_0 may be known.
+and its static gain b_0 may be known. Beyond the papers, a constant k may be added to the output, as the
+offset of a sensor is: y - k stands in the place of y, and k is one parameter more, as its derivatives vanish.
 """
 
 from __future__ import annotations
@@ -36,12 +37,21 @@ Order = Annotated[Count, Field(ge=1, le=8)]
 
 @dataclass(frozen=True, eq=False)
 class LinearFit:
-    """A linear block with the regressors ``phi`` (N, P) of a_1, ..., a_n, b_1, ..., b_m and, if free, b_0."""
+    """A linear block with the regressors ``phi`` (N, P) of a_1, ..., a_n, b_1, ..., b_m and, if free, b_0.
+
+    The last is that of the ``constant`` of the output, None if that is not estimated.
+    """
 
     block: ContinuousTransferFunction
     phi: Array
     horizons: Horizons
     knots: Knots
+    constant: float | None = None
+
+    @property
+    def regressors(self) -> Array:
+        """Those of the block."""
+        return self.phi if self.constant is None else self.phi[:, :-1]
 
 
 def linear_block(
@@ -56,12 +66,13 @@ def linear_block(
     overlap: float,
     start: float = 0.0,
     gain: float | None = None,
+    constant: bool = False,
     parts: Parts | None = None,
 ) -> LinearFit:
     """The block of orders n and m < n, from ``output`` (N,) and the input ``held_input`` (N,).
 
     ``eta``, ``overlap`` and ``start`` set the horizons, inside the experiments ``parts`` (one by default);
-    ``gain`` is b_0 if it is known.
+    ``gain`` is b_0 if it is known, ``constant`` whether one is added to the output.
 
     Raises
     ------
@@ -70,18 +81,20 @@ def linear_block(
     """
     try:
         horizons = Horizons.of(len(output), dt, eta=eta, overlap=overlap, order=n, start=start, parts=parts)
-        horizons.require(n + m + (gain is None))
+        horizons.require(n + m + (gain is None) + constant)
     except ValueError as error:
         raise EstimationError(str(error)) from None
     knots = Knots.of(held_input, delay, dt, parts)
     y = horizons.transform(horizons.sampled(knots), output)
     x = horizons.transform(horizons.held(delay), held_input)
     free = [x[0]] if gain is None else []
-    phi = np.stack([*-y[1 : n + 1], *x[1 : m + 1], *free], axis=-1)
+    added = [horizons.constant] if constant else []
+    phi = np.stack([*-y[1 : n + 1], *x[1 : m + 1], *free, *added], axis=-1)
     theta = solve(phi, y[0] if gain is None else y[0] - gain * x[0])
+    theta, k = (theta[:-1], float(theta[-1])) if constant else (theta, None)
     b_0 = theta[-1] if gain is None else gain
     block = block_of(theta[:n], [b_0, *theta[n : n + m]], delay)
-    return LinearFit(block, phi, horizons, knots)
+    return LinearFit(block, phi, horizons, knots, k)
 
 
 def block_of(a: ArrayLike, b: ArrayLike, delay: float) -> ContinuousTransferFunction:
@@ -121,14 +134,18 @@ class Measured:
         """The block's own output."""
         return cls(output, lambda x: x, parts)
 
-    def error_of(self, block: ContinuousTransferFunction, held_input: Array, dt: float) -> float:
+    def error_of(
+        self, block: ContinuousTransferFunction, held_input: Array, dt: float, constant: float | None = None
+    ) -> float:
         """Root mean square of the simulated output's error over the output's standard deviation.
+
+        A ``constant`` is added to the simulated output.
 
         Infinite for an unstable block, and where it is not a number.
         """
         if not block.is_stable():
             return math.inf
-        residual = self.y - self.after(responses_in(self.parts, block, held_input, dt))
+        residual = self.y - self.after(responses_in(self.parts, block, held_input, dt)) - (constant or 0.0)
         error = float(np.sqrt(np.mean(residual**2)) / np.std(self.y))
         return error if math.isfinite(error) else math.inf
 
@@ -144,6 +161,7 @@ def search_structure(
     overlap: float,
     start: float = 0.0,
     gain: float | None = None,
+    constant: bool = False,
     measured: Measured | None = None,
     nearly_best: float = 1.25,
     parts: Parts | None = None,
@@ -166,7 +184,16 @@ def search_structure(
     """
     measured = measured or Measured.directly(output, parts)
     fitted = partial(
-        linear_block, output, held_input, dt, eta=eta, overlap=overlap, start=start, gain=gain, parts=parts
+        linear_block,
+        output,
+        held_input,
+        dt,
+        eta=eta,
+        overlap=overlap,
+        start=start,
+        gain=gain,
+        constant=constant,
+        parts=parts,
     )
     fits: list[LinearFit | None] = []
     candidates = [(n, m, d) for d in delays for n in range(1, largest_n + 1) for m in range(n)]
@@ -180,7 +207,7 @@ def search_structure(
             errors.append(math.inf)
         else:
             fits.append(fit)
-            errors.append(measured.error_of(fit.block, held_input, dt))
+            errors.append(measured.error_of(fit.block, held_input, dt, fit.constant))
     error = np.array(errors)
     if not np.any(np.isfinite(error)):
         raise EstimationError(f"no structure up to n = {largest_n} gives a stable linear block{refused}")
@@ -267,14 +294,26 @@ class SecondStageSpec(Spec):
             require_proper(self.n, self.m)
         return self
 
-    def check(self, samples: int, dt: float, start: float, *, gain: bool, parts: Parts | None = None) -> None:
-        """Raise ValueError if given horizons do not suit the record; ``gain``: whether b_0 is free."""
+    def check(
+        self,
+        samples: int,
+        dt: float,
+        start: float,
+        *,
+        gain: bool,
+        constant: bool = False,
+        parts: Parts | None = None,
+    ) -> None:
+        """Raise ValueError if given horizons do not suit the record.
+
+        ``gain`` says whether b_0 is free, ``constant`` whether one is added to the output.
+        """
         if self.horizon is None:
             return
         horizons = Horizons.of(
             samples, dt, eta=self.horizon, overlap=self.overlap, order=self.most, start=start, parts=parts
         )
-        horizons.require(self.most + (self.m if self.n is not None else self.most - 1) + gain)
+        horizons.require(self.most + (self.m if self.n is not None else self.most - 1) + gain + constant)
 
     @property
     def most(self) -> int:
@@ -291,6 +330,7 @@ class SecondStageSpec(Spec):
         eta: float,
         start: float,
         gain: float | None,
+        constant: bool = False,
         measured: Measured | None = None,
         parts: Parts | None = None,
     ) -> tuple[LinearFit, StructureSearch | None]:
@@ -306,6 +346,7 @@ class SecondStageSpec(Spec):
                 overlap=self.overlap,
                 start=start,
                 gain=gain,
+                constant=constant,
                 measured=measured,
                 nearly_best=self.nearly_best,
                 parts=parts,
@@ -321,6 +362,7 @@ class SecondStageSpec(Spec):
             overlap=self.overlap,
             start=start,
             gain=gain,
+            constant=constant,
             parts=parts,
         )
         return fit, None

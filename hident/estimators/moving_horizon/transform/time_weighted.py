@@ -166,6 +166,12 @@ class Horizons:
         return np.concatenate(found)
 
     @cached_property
+    def constant(self) -> Array:
+        """The transform of order 0 of the signal 1, shape (count,); the others are zero."""
+        antiderivative = _weight_derivative(self.order, 0).integ() / 2.0
+        return np.full(self.count, antiderivative(1.0) - antiderivative(-1.0))
+
+    @cached_property
     def bounds(self) -> NDArray[np.int64]:
         """Where each horizon's experiment begins and ends, shape (2, count)."""
         begins, ends, counts = np.array(self.experiments).T

@@ -4,7 +4,8 @@ Chen, Hwang and Chang 2009, section 4.2. Symbols:
 
 ======  =============================================================================================
 x       the internal variable, from the linear block (28a), from the nonlinearity (28b), or both (29)
-theta   a_1, ..., a_n, b_0, ..., b_m of the linear block, then c_1, ..., c_r of the nonlinearity
+theta   a_1, ..., a_n, b_0, ..., b_m of the linear block, then c_1, ..., c_r of the nonlinearity, then k
+k       the constant of the output, if one is estimated: y - k stands in the place of y
 terms   g_1, ..., g_r with x = y - sum c_i g_i: (15) with c = 1 - e, or the powers x^2, ..., x^p (11)
 J       regressions at once, such as pairs of partition points
 K       horizons
@@ -23,7 +24,12 @@ from hident.arrays import Array, Complex, Flags, Index
 from hident.estimators.moving_horizon.transform.horizon_least_squares import solve
 from hident.estimators.moving_horizon.transform.time_weighted import Horizons, Knots
 from hident.estimators.moving_horizon.wiener.batched_blocks import responses, time_constants
-from hident.estimators.moving_horizon.wiener.four_segment import left_segments, right_segment
+from hident.estimators.moving_horizon.wiener.four_segment import (
+    inverse_slope,
+    left_segments,
+    right_segment,
+    segments,
+)
 from hident.numerics.parts import in_each
 
 if TYPE_CHECKING:
@@ -48,14 +54,25 @@ class Wiener:
     operator: csr_array
     inputs: Array
     outputs: Array
+    constant: bool = False
 
     @classmethod
-    def of(cls, u: Array, y: Array, dt: float, *, m: int, delay: float, horizons: Horizons) -> Self:
+    def of(
+        cls,
+        u: Array,
+        y: Array,
+        dt: float,
+        *,
+        m: int,
+        delay: float,
+        horizons: Horizons,
+        constant: bool = False,
+    ) -> Self:
         """The transforms of input and output, both (N,), over ``horizons`` of order n."""
         operator = horizons.sampled(Knots.of(u, delay, dt, horizons.parts))
         inputs = horizons.transform(horizons.held(delay), u)[: m + 1].T
         outputs = horizons.transform(operator, y).T
-        return cls(u, y, dt, horizons.order, m, delay, horizons, operator, inputs, outputs)
+        return cls(u, y, dt, horizons.order, m, delay, horizons, operator, inputs, outputs, constant)
 
     def transforms(self, signals: Array, operator: csr_array | None = None) -> Array:
         """The transforms of sampled ``signals`` (N, J) and their derivatives, shape (J, K, n + 1).
@@ -76,7 +93,8 @@ class Wiener:
 
     def linear_output(self) -> Array:
         """The output (N,) of the linear model from u to y, by the same transform."""
-        theta = solve(np.hstack((-self.outputs[:, 1:], self.inputs)), self.outputs[:, 0])
+        added = [self.horizons.constant[:, None]] if self.constant else []
+        theta = solve(np.hstack((-self.outputs[:, 1:], self.inputs, *added)), self.outputs[:, 0])
         return self.internal(theta[None])[:, 0] if np.all(np.isfinite(theta)) else self.y
 
     def internal(self, theta: Array, tau: Complex | None = None) -> Array:
@@ -92,15 +110,20 @@ class Wiener:
         return (
             theta[..., : self.n],
             theta[..., self.n : self.n + self.m + 1],
-            theta[..., self.n + self.m + 1 :],
+            theta[..., self.n + self.m + 1 : theta.shape[-1] - self.constant],
         )
+
+    def constants(self, theta: Array) -> Array:
+        """k (...) in ``theta``, zero if it is not estimated."""
+        return np.asarray(theta[..., -1]) if self.constant else np.zeros(theta.shape[:-1])
 
 
 class Internal(Protocol):
     """The internal variable as the regression sees it.
 
     ``terms`` (J, K, r) are the transforms of g_1, ..., g_r, ``derivatives`` (J, K, n) those of the
-    derivatives of x.
+    derivatives of x. ``level`` (J, K) is what multiplies the constant k, and ``target`` (J, K) what all
+    regressors together are to make.
     """
 
     @property
@@ -109,8 +132,17 @@ class Internal(Protocol):
     @property
     def derivatives(self) -> Array: ...
 
-    def updated(self, x_lin: Array, c: Array, weight: float) -> Self:
-        """The next internal variable (29), from the blocks' outputs (N, J) and the parameters (J, r)."""
+    @property
+    def level(self) -> Array: ...
+
+    @property
+    def target(self) -> Array: ...
+
+    def updated(self, x_lin: Array, c: Array, weight: float, constants: Array) -> Self:
+        """The next internal variable (29), from the blocks' outputs (N, J) and the parameters.
+
+        These are ``c`` (J, r) and the ``constants`` k (J,).
+        """
 
     def of(self, chosen: Flags) -> Self:
         """That of the ``chosen`` (J,) regressions alone."""
@@ -121,11 +153,18 @@ class Internal(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FourSegments:
-    """The internal variable by four-segment functions, held as transforms ``g`` (J, K, n + 1, 3) alone."""
+    """The internal variable by four-segment functions, held as transforms ``g`` (J, K, n + 1, 3) alone.
+
+    Where the output has a constant, the segments meet at the ``points`` (2, J) and zero of y - k. Around the
+    last k in ``shift`` (J,) the function is linear in k, with the slope dx/dy, whose transform is ``level``.
+    """
 
     wiener: Wiener
     g: Array
     derivatives: Array
+    points: Array
+    shift: Array
+    level: Array
 
     @classmethod
     def of_points(cls, wiener: Wiener, points: Array, x: Array) -> Self:
@@ -143,20 +182,46 @@ class FourSegments:
             ),
             axis=-1,
         )
+        count = points.shape[1]
         first = wiener.transforms(x[:, None], wiener.derivatives)
-        return cls(wiener, g, np.broadcast_to(first, (points.shape[1], *first.shape[1:])))
+        derivatives = np.broadcast_to(first, (count, *first.shape[1:]))
+        level = np.tile(wiener.horizons.constant, (count, 1))
+        return cls(wiener, g, derivatives, points, np.zeros(count), level)
 
     @property
     def terms(self) -> Array:
         return self.g[:, :, 0]
 
-    def updated(self, x_lin: Array, c: Array, weight: float) -> Self:
-        x_nl = self.wiener.outputs[:, 1:] - np.einsum("jkir,jr->jki", self.g[:, :, 1:], c)
+    @property
+    def target(self) -> Array:
+        moved = self.shift[:, None] * (self.level - self.wiener.horizons.constant)
+        return np.asarray(self.wiener.outputs[:, 0] + moved)
+
+    def updated(self, x_lin: Array, c: Array, weight: float, constants: Array) -> Self:
+        around = self._around(constants, c) if self.wiener.constant else self
+        x_nl = self.wiener.outputs[:, 1:] - np.einsum("jkir,jr->jki", around.g[:, :, 1:], c)
         forward = self.wiener.transforms(x_lin, self.wiener.derivatives)
-        return replace(self, derivatives=weight * forward + (1.0 - weight) * x_nl)
+        return replace(around, derivatives=weight * forward + (1.0 - weight) * x_nl)
+
+    def _around(self, constants: Array, c: Array) -> Self:
+        """The segments of y - k for the constants k (J,), and the slopes of the inverse there."""
+        y = self.wiener.y[:, None] - constants
+        signals = segments(y, *self.points)
+        g = self.wiener.transforms(signals.reshape(len(y), -1))
+        g = np.moveaxis(g.reshape(*signals.shape[1:], *g.shape[1:]), 1, -1)
+        slopes = inverse_slope(y, 1.0 - c.T, *self.points)
+        level = self.wiener.transforms(slopes, self.wiener.means)[..., 0]
+        return replace(self, g=g, shift=constants, level=level)
 
     def of(self, chosen: Flags) -> Self:
-        return replace(self, g=self.g[chosen], derivatives=self.derivatives[chosen])
+        return replace(
+            self,
+            g=self.g[chosen],
+            derivatives=self.derivatives[chosen],
+            points=self.points[:, chosen],
+            shift=self.shift[chosen],
+            level=self.level[chosen],
+        )
 
     def has_forward(self, c: Array) -> Flags:
         # All slopes e = 1 - c must be positive.
@@ -184,9 +249,17 @@ class Powers:
     def _exponents(self) -> range:
         return range(2, self.degree + 1)
 
-    def updated(self, x_lin: Array, c: Array, weight: float) -> Self:
+    @property
+    def level(self) -> Array:
+        return np.tile(self.wiener.horizons.constant, (self.x.shape[1], 1))
+
+    @property
+    def target(self) -> Array:
+        return np.tile(self.wiener.outputs[:, 0], (self.x.shape[1], 1))
+
+    def updated(self, x_lin: Array, c: Array, weight: float, constants: Array) -> Self:
         # Eq. (11)
-        x_nl = self.wiener.y[:, None] - sum(c[:, i - 2] * self.x**i for i in self._exponents)
+        x_nl = self.wiener.y[:, None] - constants - sum(c[:, i - 2] * self.x**i for i in self._exponents)
         return replace(self, x=weight * x_lin + (1.0 - weight) * x_nl)
 
     def of(self, chosen: Flags) -> Self:
@@ -244,7 +317,7 @@ def iterate(wiener: Wiener, internal: Internal, rule: Rule) -> Iterates:
     the left half plane.
     """
     phi = _regressors(wiener, internal)
-    theta = _solved(wiener, phi)
+    theta = _solved(wiener, internal, phi)
     count = len(theta)
     path = [theta]
     iterations = np.zeros(count, dtype=np.intp)
@@ -256,9 +329,10 @@ def iterate(wiener: Wiener, internal: Internal, rule: Rule) -> Iterates:
         if len(rows) == 0:
             break
         old = theta[rows]
-        internal = internal.updated(wiener.internal(old, tau), wiener.split(old)[2], rule.weight)
+        x_lin, c = wiener.internal(old, tau), wiener.split(old)[2]
+        internal = internal.updated(x_lin, c, rule.weight, wiener.constants(old))
         phi[rows] = now = _regressors(wiener, internal)
-        new = _solved(wiener, now)
+        new = _solved(wiener, internal, now)
         length = np.linalg.norm(now, axis=-2)
         change = np.linalg.norm((new - old) * length, axis=-1)
         theta = theta.copy()
@@ -280,12 +354,15 @@ def iterate(wiener: Wiener, internal: Internal, rule: Rule) -> Iterates:
 
 
 def _regressors(wiener: Wiener, internal: Internal) -> Array:
-    """phi (J, K, P) of (23) or, with powers for terms, of (12)."""
+    """phi (J, K, P) of (23) or, with powers for terms, of (12); that of the constant comes last."""
     x = internal.derivatives
     inputs = np.broadcast_to(wiener.inputs, (len(x), *wiener.inputs.shape))
-    return np.concatenate((-x, inputs, internal.terms), axis=-1)
+    added = [internal.level[..., None]] if wiener.constant else []
+    return np.concatenate((-x, inputs, internal.terms, *added), axis=-1)
 
 
-def _solved(wiener: Wiener, phi: Array) -> Array:
+def _solved(wiener: Wiener, internal: Internal, phi: Array) -> Array:
     """theta (J, P), eq. (26)."""
+    if wiener.constant:
+        return solve(phi, internal.target)
     return solve(phi, np.broadcast_to(wiener.outputs[:, 0], phi.shape[:-1]))

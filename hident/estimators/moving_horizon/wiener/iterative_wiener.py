@@ -16,7 +16,7 @@ from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
 from hident.estimators.convergence import settle
-from hident.estimators.moving_horizon.iterative import IterativeSpec, padded
+from hident.estimators.moving_horizon.iterative import IterativeSpec, known, offset, padded
 from hident.estimators.moving_horizon.partition import require_inside
 from hident.estimators.moving_horizon.searches import StructureSearch, found_searches
 from hident.estimators.moving_horizon.transform.linear_transform import (
@@ -108,7 +108,7 @@ class IterativeWiener(IterativeSpec):
     def names(self) -> list[str]:
         errors = self.error_names(0) if isinstance(self.nonlinearity, FourSegmentSpec) else []
         ended = ["iterations", "converged"]
-        return [*self.stage_names(), *self.nonlinearity.names(), *errors, *ended]
+        return [*self.stage_names(), *self.nonlinearity.names(), *errors, *ended, *self.constant_names()]
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         # The values are those of the iteration, which holds the inverse's slope e_1.
@@ -128,12 +128,14 @@ class IterativeWiener(IterativeSpec):
         return self._estimate(record, dt, first, second, search)
 
     def _first(self, record: Record, dt: float, stage: StageSpec, delay: float, guess: bool) -> WienerStage:
-        parameters = stage.n + stage.m + self.function_parameters()
         try:
+            parameters = self.first_parameters(stage)
             horizons = stage.horizons(len(record), dt, self.start, parameters, record.experiments)
         except ValueError as error:
             raise EstimationError(str(error)) from None
-        wiener = Wiener.of(record.u, record.y, dt, m=stage.m, delay=delay, horizons=horizons)
+        wiener = Wiener.of(
+            record.u, record.y, dt, m=stage.m, delay=delay, horizons=horizons, constant=self.constant
+        )
         rule = Rule(self.weight, self.tolerance, self.max_iterations)
         found = first_stage(wiener, self.nonlinearity, rule, self.start)
         settle(found.history.converged, found.iterations, self.unconverged)
@@ -144,7 +146,7 @@ class IterativeWiener(IterativeSpec):
     def _second(
         self, record: Record, dt: float, first: WienerStage, stage: SecondStageSpec, eta: float
     ) -> tuple[LinearFit, StructureSearch | None]:
-        gain, nonlinearity = first.block.b[0], first.nonlinearity
+        gain, nonlinearity, constant = first.block.b[0], first.nonlinearity, first.constant or 0.0
         # The output of the linear block is now known, (28b), and so is its static gain.
         return stage.fit(
             first.x,
@@ -154,7 +156,7 @@ class IterativeWiener(IterativeSpec):
             eta=eta,
             start=self.start,
             gain=gain,
-            measured=Measured(record.y, lambda x: nonlinearity(x / gain), record.experiments),
+            measured=Measured(record.y, lambda x: nonlinearity(x / gain) + constant, record.experiments),
             parts=record.experiments,
         )
 
@@ -169,25 +171,27 @@ class IterativeWiener(IterativeSpec):
         block = first.block if second is None else second.block
         unit = block.scaled(1.0 / block.b[0])
         v = responses_in(record.experiments, unit, record.u, dt)
-        clusters = smoothed(v, record.y, self.smooth or _CLUSTERS)
+        y = record.y - (first.constant or 0.0)
+        clusters = smoothed(v, y, self.smooth or _CLUSTERS)
         nonlinearity = first.nonlinearity if self.smooth is None else _through(clusters)
         values = self.named(
-            self.stage_values(first.block, first.phi, first.wiener.horizons, second),
+            self.stage_values(first.block, first.regressors, first.wiener.horizons, second),
             first.parameters,
             self._errors(first, second),
             first.iterations,
             first.history.converged,
+            *known(first.constant),
         )
         details = {
             "history": first.history,
-            "internal_variable": np.array([v, record.y]),
+            "internal_variable": np.array([v, y]),
             "smoothed": clusters,
             **found_searches(first.partition, search),
         }
         return Estimate(
             nonlinearity=nonlinearity,
             continuous=unit,
-            response=WienerResponse(unit, nonlinearity),
+            response=offset(WienerResponse(unit, nonlinearity), first.constant),
             values=values,
             details=details,
         )
@@ -198,7 +202,9 @@ class IterativeWiener(IterativeSpec):
             return np.empty(0)
         *e, lower, upper = first.parameters
         points = lower, upper
-        found = wiener_errors(first.wiener, first.phi, first.block, np.array(e), points, self.weight, second)
+        found = wiener_errors(
+            first.wiener, first.phi, first.block, np.array(e), points, self.weight, second, first.constant
+        )
         return padded(*found, self.largest_n)
 
 

@@ -89,7 +89,8 @@ class WienerStage:
     """What the first stage found.
 
     ``nonlinearity`` is y(v) with x = b_0 v, ``parameters`` are its own as the spec names them, ``x`` (N,) is
-    the internal variable (28b), ``phi`` (K, P) the regressors; x was updated ``iterations`` times.
+    the internal variable (28b), ``phi`` (K, P) the regressors; x was updated ``iterations`` times. The last
+    regressor is that of the ``constant`` of the output, None if that is not estimated.
     """
 
     wiener: Wiener
@@ -100,7 +101,13 @@ class WienerStage:
     phi: Array
     iterations: int
     history: History
+    constant: float | None
     partition: PartitionSearch | None = None
+
+    @property
+    def regressors(self) -> Array:
+        """Those of the block and the nonlinearity."""
+        return self.phi if self.constant is None else self.phi[:, :-1]
 
 
 def first_stage(wiener: Wiener, spec: NonlinearitySpec, rule: Rule, start: float) -> WienerStage:
@@ -130,16 +137,25 @@ def _four_segment_stage(
     e = 1.0 - c
     block = block_of(a[-1], b[-1], wiener.delay)
     slopes = tuple(e[-1].tolist())
+    constants = wiener.constants(run.path[:, 0])
     return WienerStage(
         wiener,
         block,
         FourSegment(slopes, lower, upper, block.b[0]),
         (*slopes, lower, upper),
-        inverse(wiener.y, e[-1], lower, upper),
+        inverse(wiener.y - constants[-1], e[-1], lower, upper),
         run.phi[0],
         int(run.iterations[0]),
-        History(a, b, dict(zip(spec.coefficients(), e.T, strict=True)), bool(run.converged[0])),
+        _history(wiener, run, dict(zip(spec.coefficients(), e.T, strict=True))),
+        float(constants[-1]) if wiener.constant else None,
     )
+
+
+def _history(wiener: Wiener, run: Iterates, coefficients: dict[str, Array]) -> History:
+    """The parameters of the only iteration, the constant of the output among the coefficients."""
+    a, b, _ = wiener.split(run.path[:, 0])
+    constant = {"constant": wiener.constants(run.path[:, 0])} if wiener.constant else {}
+    return History(a, b, {**coefficients, **constant}, bool(run.converged[0]))
 
 
 def _polynomial_stage(wiener: Wiener, spec: PolynomialSpec, rule: Rule) -> WienerStage:
@@ -148,32 +164,37 @@ def _polynomial_stage(wiener: Wiener, spec: PolynomialSpec, rule: Rule) -> Wiene
     block = block_of(a[-1], b[-1], wiener.delay)
     # In v = x/b_0, the polynomial (10) with c_1 = 1.
     scaled = np.concatenate(([0.0, 1.0], c[-1])) * block.b[0] ** np.arange(spec.degree + 1)
-    x_lin = wiener.internal(run.theta)
+    x_lin, constants = wiener.internal(run.theta), wiener.constants(run.theta)
     return WienerStage(
         wiener,
         block,
         Polynomial(coefficients=tuple(scaled.tolist())),
         tuple(c[-1].tolist()),
-        Powers(wiener, spec.degree, x_lin).updated(x_lin, c[-1:], 0.0).x[:, 0],
+        Powers(wiener, spec.degree, x_lin).updated(x_lin, c[-1:], 0.0, constants).x[:, 0],
         run.phi[0],
         int(run.iterations[0]),
-        History(a, b, dict(zip(spec.coefficients(), c.T, strict=True)), bool(run.converged[0])),
+        _history(wiener, run, dict(zip(spec.coefficients(), c.T, strict=True))),
+        float(constants[0]) if wiener.constant else None,
     )
 
 
 def _run(wiener: Wiener, begin: Callable[[Array], Internal], rule: Rule) -> Iterates:
     """The one iteration from x = y or, if that ends badly or wanders, from the linear model's output.
 
+    Where the output has a constant, y is far from x, and the linear model's output is the first.
+
     Raises
     ------
     EstimationError
         If both end badly.
     """
-    found = iterate(wiener, begin(wiener.y), rule)
+    starts = [lambda: wiener.y, wiener.linear_output]
+    first, other = reversed(starts) if wiener.constant else starts
+    found = iterate(wiener, begin(first()), rule)
     trouble = _trouble(wiener, found)
     if found.converged[0] and not trouble:
         return found
-    again = iterate(wiener, begin(wiener.linear_output()), rule)
+    again = iterate(wiener, begin(other()), rule)
     wrong = _trouble(wiener, again)
     if wrong and trouble:
         raise EstimationError(
@@ -206,7 +227,8 @@ def search_partition(
     zero, dense towards zero and the ends. A refinement tries the neighbours of the best pair at half the
     distance. Pairs that end in an unstable block or a slope e_i that is not positive are rejected. If no
     other pair converges, the search starts again on a grid twice as fine, its iterations from the linear
-    model's output. Of pairs that tie the first counts; pairs that have not converged count if no pair has.
+    model's output; where the output has a constant, all begin there. Of pairs that tie the first counts, and
+    pairs that have not converged count if no pair has.
 
     Raises
     ------
@@ -217,7 +239,8 @@ def search_partition(
     require_inside("search", wiener.y, "output")
     rule, scale = replace(rule, patience=_PATIENCE), wiener.dt * float(wiener.y @ wiener.y)
     wandering = None
-    for count, x in ((points, wiener.y), (2 * points, wiener.linear_output())):
+    linear = wiener.linear_output()
+    for count, x in ((points, linear if wiener.constant else wiener.y), (2 * points, linear)):
         grid = 0.5 * np.pi * np.arange(1, count + 1) / (count + 1)
         tried = _tried(wiener, rule, start, ends, _pairs(grid[::-1], grid), x)
         if np.any(tried.converged):
@@ -290,7 +313,7 @@ def _some_losses(wiener: Wiener, rule: Rule, start: float, points: Array, x: Arr
     first = round(start / wiener.dt)
     parts = longer_than(wiener.horizons.parts, first)
     x, y = (in_each(parts, lambda part: part[first:], one) for one in (wiener.internal(theta), wiener.y))
-    output = forward(x, e.T, *points[:, sound])
+    output = forward(x, e.T, *points[:, sound]) + wiener.constants(theta)
     losses = np.full(len(sound), np.nan)
     losses[sound] = wiener.dt * np.sum((y[:, None] - output) ** 2, axis=0)
     return losses, found.converged & np.isfinite(losses)

@@ -31,6 +31,7 @@ def wiener_errors(
     points: tuple[float, float],
     weight: float,
     second: LinearFit | None,
+    constant: float | None = None,
 ) -> tuple[Array, Array]:
     """The standard errors of a_1, ..., a_n (n,) and of b_0, ..., b_m (m + 1,) of the last stage's block.
 
@@ -46,22 +47,27 @@ def wiener_errors(
         w of (29).
     second : LinearFit or None
         The second stage's block, of the first stage's b_0.
+    constant : float or None
+        That of the output, whose regressor is the last; None if it is not estimated.
     """
     n, a, parts = wiener.n, np.array(block.a), wiener.horizons.parts
     linear = n + wiener.m + 1
-    g = segments(wiener.y, *points)
+    y = wiener.y - (constant or 0.0)
+    g, slope = segments(y, *points), inverse_slope(y, e, *points)
+    if constant is not None:
+        # x_nl falls with the constant as it does with a slope, by dx/dy.
+        g = np.column_stack((g, slope))
     by_block = wiener.transforms(sensitivities(block, wiener.u, wiener.dt, parts), wiener.derivatives)
     by_slopes = wiener.transforms(g, wiener.derivatives)
     jacobian = phi.copy()
     jacobian[:, :linear] -= weight * (by_block @ a).T
     jacobian[:, linear:] += (1.0 - weight) * (by_slopes @ a).T
     bread = np.asarray(np.linalg.solve(phi.T @ jacobian, phi.T), dtype=float)
-    slope = inverse_slope(wiener.y, e, *points)
     knots = Knots.of(wiener.u, wiener.delay, wiener.dt, parts)
     feedback = tuple(((1.0 - weight) * a).tolist())
     first = slope * influence(bread, wiener.horizons, knots, feedback)
     if second is None:
-        residual = wiener.y - forward(responses_in(parts, block, wiener.u, wiener.dt), e, *points)
+        residual = y - forward(responses_in(parts, block, wiener.u, wiener.dt), e, *points)
         found = standard_errors(first, residual)
         return found[:n], found[n:linear]
     found_block, horizons = second.block, second.horizons
@@ -72,7 +78,7 @@ def wiener_errors(
     by_gain = -horizons.transform(horizons.held(found_block.delay), wiener.u)[0]
     derivative = slope * influence(onto, horizons, second.knots, found_block.a)
     derivative += onto @ (by_c @ first[linear:] + np.outer(by_gain, first[n]))
-    residual = wiener.y - forward(responses_in(parts, found_block, wiener.u, wiener.dt), e, *points)
+    residual = y - forward(responses_in(parts, found_block, wiener.u, wiener.dt), e, *points)
     order = len(found_block.a)
     found = standard_errors(np.vstack([derivative, first[n]]), residual)
     return found[:order], np.concatenate((found[-1:], found[order:-1]))

@@ -1,0 +1,146 @@
+"""The delay of a linear block that a regression on the newest input does not see, given or searched for.
+
+Behind a block that delays its input by d samples, y_k depends on u_{k-d} and on what was before, so that the
+regression of y_k on u_k is a constant. All that is needed is other pairs: u_{k-d} with y_k.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import PlainValidator, WithJsonSchema
+
+from hident.arrays import Array, Flags, Index
+from hident.errors import EstimationError
+from hident.numerics.choices import first_least
+from hident.numerics.parts import in_each, joined, longer_than
+from hident.records import Record
+
+FEWEST_PAIRS = 4
+"""Pairs with which delays can be compared: two bins of two."""
+
+
+def _as_delay(value: Any) -> Any:
+    if value == "search":
+        return value
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**63:
+        raise ValueError(f"must be a whole number of samples, 0 or more, or 'search', not {value!r}")
+    return value
+
+
+Delay = Annotated[
+    Literal["search"] | int,
+    PlainValidator(_as_delay),
+    WithJsonSchema({"anyOf": [{"const": "search"}, {"type": "integer", "minimum": 0}]}),
+]
+"""A whole number of samples, or ``search``."""
+
+
+@dataclass(frozen=True, eq=False)
+class SomeSamples(Record):
+    """The outputs of ``whole`` that are ``kept``, as they are or filtered, and an input for each.
+
+    ``kept`` (N of ``whole``,) tells of each output whether it is.
+    """
+
+    whole: Record | None = None
+    kept: Flags | None = None
+
+
+def delayed(record: Record, delay: int, first: int | None = None) -> SomeSamples:
+    """The pairs (u_{k-delay}, y_k) of each experiment, from k = ``first`` on (default: ``delay``).
+
+    Experiments without such a pair are left out.
+
+    Raises
+    ------
+    EstimationError
+        If no experiment has one.
+
+    Examples
+    --------
+    >>> later = delayed(Record(np.arange(4.0), np.arange(4.0)), 1)
+    >>> later.u, later.y
+    (array([0., 1., 2.]), array([1., 2., 3.]))
+    """
+    first = delay if first is None else first
+    long = longer_than(record.experiments, first)
+    if not long:
+        raise EstimationError(f"no experiment holds more than the {first} samples that the delay takes")
+    u = in_each(long, lambda u: u[first - delay : len(u) - delay], record.u)
+    y = in_each(long, lambda y: y[first:], record.y)
+    u.flags.writeable = y.flags.writeable = False
+    places = joined(part.stop - part.start - first for part in long)
+    named = [(name, part) for name, part in record.parts.items() if part.samples in long]
+    parts = {
+        name: replace(part, start=place.start, stop=place.stop)
+        for (name, part), place in zip(named, places, strict=False)
+    }
+    kept = np.zeros(len(record), dtype=bool)
+    for part in long:
+        kept[part.start + first : part.stop] = True
+    return SomeSamples(u, y, record.dt, record.truth, parts, whole=record, kept=kept)
+
+
+@dataclass(frozen=True, eq=False)
+class DelaySearch:
+    """The share of the output's variance that each delay 0, 1, ... leaves, (D,); ``details["delay"]``.
+
+    It is nan where the block could not be undone with that delay.
+    """
+
+    unexplained: Array
+    chosen: int
+
+
+def search_delay(outputs: Callable[[int], Record], largest: int) -> DelaySearch:
+    """The delay from 0 to ``largest`` on whose input the output depends most, the shortest among ties.
+
+    ``outputs`` gives the pairs of a delay, of the same samples of the output for each, with what undoes the
+    linear block done. Each delay is judged by :func:`unexplained`.
+
+    Raises
+    ------
+    EstimationError
+        If no delay has such pairs.
+    """
+    left, refused = np.full(largest + 1, np.nan), ""
+    for delay in range(largest + 1):
+        try:
+            pairs = outputs(delay)
+        except (EstimationError, np.linalg.LinAlgError) as error:
+            refused = f" (the last: {error})"
+        else:
+            left[delay] = unexplained(pairs.u, pairs.y)
+    if not np.any(np.isfinite(left)):
+        raise EstimationError(f"no delay from 0 to {largest} can be judged{refused}")
+    return DelaySearch(left, first_least(left, scale=1.0))
+
+
+def unexplained(u: Array, y: Array) -> float:
+    """The share of the variance of ``y`` (N,) that its regressogram on ``u`` (N,) leaves; 1 for none.
+
+    The regressogram (Tukey 1961) is the mean of y in each of about sqrt(N) bins of equally many samples, with
+    equal inputs in one bin. It needs no bandwidth, whatever the distribution of u.
+
+    Examples
+    --------
+    >>> u = np.random.default_rng(1).uniform(-1, 1, 400)
+    >>> round(unexplained(u, u**2), 2), round(unexplained(np.roll(u, 1), u**2), 1)
+    (0.01, 1.0)
+    """
+    deviations = y - y.mean()
+    total = float(deviations @ deviations)
+    if not total > 0.0:
+        return 1.0
+    n = len(u)
+    count = max(2, math.isqrt(n))
+    edges: Array = np.sort(u)[n * np.arange(1, count) // count]
+    bins: Index = np.searchsorted(edges, u, side="right")
+    sizes, sums = np.bincount(bins), np.bincount(bins, deviations)
+    filled = sizes > 0
+    return 1.0 - float(np.sum(sums[filled] ** 2 / sizes[filled])) / total

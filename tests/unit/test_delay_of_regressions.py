@@ -1,0 +1,290 @@
+"""The delay of kernel and series estimators: given or searched for, in every experiment by itself."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+import hident as hi
+from hident.estimators.nonparametric.delay import delayed, search_delay, unexplained
+from hident.records import Held, Part, Record
+from tests.unit.plans import planned, refusals
+
+BANDWIDTH = {"h0": 0.5, "alpha": 0.2}
+POINTS = np.linspace(-0.8, 0.8, 9)
+IID = hi.Iid(distribution="uniform", low=-1, high=1)
+
+
+def kernel(**fields):
+    return hi.Kernel(kernel="epanechnikov", bandwidth=BANDWIDTH, **fields)
+
+
+def series(**fields):
+    basis = hi.Legendre(interval=[-1, 1])
+    return hi.Orthogonal(basis=basis, terms={"q0": 3, "alpha": 0}, **fields)
+
+
+def record(b, a=(), samples=400, nonlinearity="abs", noise=()):
+    linear = hi.Arma(a=list(a), b=b) if a else hi.Fir(b=b)
+    system = hi.Hammerstein(nonlinearity=nonlinearity, linear=linear)
+    return hi.simulate(system, IID, samples, noise=noise)
+
+
+BOTH = pytest.mark.parametrize("estimator", [kernel, series])
+PREFILTERS = {
+    "none": (None, ()),
+    "least squares": (hi.LeastSquares(order=1), (0.6,)),
+    "instruments": (hi.InstrumentalVariables(order=1, instrument="abs"), (0.6,)),
+    "known": (hi.KnownDynamics(a=[0.6]), (0.6,)),
+}
+each_prefilter = pytest.mark.parametrize(("prefilter", "a"), PREFILTERS.values(), ids=PREFILTERS)
+
+
+@BOTH
+@each_prefilter
+@pytest.mark.parametrize("delay", [1, 3])
+def test_it_is_the_estimate_from_the_pairs_moved_by_the_delay(estimator, prefilter, a, delay):
+    made = record([0.0] * delay + [1.0], a)
+    found = estimator(prefilter=prefilter, delay=delay).fit(made)
+    pairs = Record(made.u[:-delay], made.y[delay:])
+    plain = estimator(prefilter=prefilter).fit(pairs)
+    np.testing.assert_array_equal(found.nonlinearity(POINTS), plain.nonlinearity(POINTS))
+    np.testing.assert_array_equal(found.left_out(-0.5, 0.5), plain.left_out(-0.5, 0.5))
+    assert found.values["delay"] == delay
+    if prefilter is not None:
+        assert found.linear == replace(plain.linear, b=(0.0,) * delay + plain.linear.b)
+        assert found.values["a_1"] == plain.values["a_1"]
+
+
+@BOTH
+@each_prefilter
+def test_a_search_finds_the_delay_and_gives_what_it_gives_when_given(estimator, prefilter, a):
+    made = record([0.0, 0.0, 1.0], a, noise=hi.White(std=0.1))
+    searched = estimator(prefilter=prefilter, delay="search", largest_delay=6)
+    found = searched.fit(made)
+    given = estimator(prefilter=prefilter, delay=2).fit(made)
+    assert found.values["delay"] == 2.0
+    assert found.linear == given.linear
+    np.testing.assert_array_equal(found.nonlinearity(POINTS), given.nonlinearity(POINTS))
+    search = found.details["delay"]
+    assert (search.chosen, search.unexplained.shape) == (2, (7,))
+    # What the noise of variance .01 leaves, and the other delays explain nothing but by chance.
+    assert search.unexplained[2] < 0.2
+    assert min(np.delete(search.unexplained, 2)) > 0.8
+
+
+def test_a_block_without_delay_is_found_to_have_none():
+    made = record([1.0, 0.3])
+    found = kernel(delay="search").fit(made)
+    assert found.values == {"delay": 0.0}
+    np.testing.assert_array_equal(found.nonlinearity(POINTS), kernel().fit(made).nonlinearity(POINTS))
+
+
+def test_without_the_field_nothing_changes():
+    made, plain = record([1.0], (0.5,)), kernel(prefilter=hi.LeastSquares(order=1))
+    found = plain.fit(made)
+    assert list(found.values) == list(plain.names()) == ["a_1", "c"]
+    assert plain.takes_experiments() == "at_one_interval"
+    assert kernel().takes_experiments() == "any"
+    assert kernel(delay=1).takes_experiments() == "at_one_interval"
+
+
+@pytest.mark.parametrize("delay", [2, "search"])
+def test_no_pair_reaches_from_one_experiment_into_another(delay):
+    rng = np.random.default_rng(3)
+    u = rng.uniform(-1, 1, 300)
+    lengths = (100, 2, 198)
+    waveform, parts, start, y = Held(np.zeros(1), np.zeros(1)), {}, 0, []
+    for name, length in zip("abc", lengths, strict=True):
+        parts[name] = Part(start, start + length, 1.0, waveform)
+        # Each begins at a level of its own, which no other one may see.
+        y.append(np.concatenate((np.full(min(2, length), 1e6), np.abs(u[start : start + length - 2]))))
+        start += length
+    made = Record(u, np.concatenate(y), parts=parts)
+    found = kernel(delay=delay, **({"largest_delay": 5} if delay == "search" else {})).fit(made)
+    pairs = [part.samples for part in parts.values() if len(part) > 2]
+    moved = Record(
+        np.concatenate([u[part][:-2] for part in pairs]), np.concatenate([made.y[part][2:] for part in pairs])
+    )
+    np.testing.assert_array_equal(found.nonlinearity(POINTS), kernel().fit(moved).nonlinearity(POINTS))
+    later = delayed(made, 2)
+    assert [(name, part.start, part.stop) for name, part in later.parts.items()] == [
+        ("a", 0, 98),
+        ("c", 98, 294),
+    ]
+
+
+def test_ties_go_to_the_shortest_delay_whatever_the_last_bit():
+    # The binary input repeats after 7 samples, so that delays that differ by 7 explain the same.
+    u = hi.Prbs(order=3).sample(280, 1.0, np.random.default_rng(4))
+    y = np.roll(u, 2) + 0.1 * np.random.default_rng(5).normal(size=280)
+    for seed in range(5):
+        moved = np.where(np.random.default_rng(seed).random(len(y)) < 0.5, np.nextafter(y, 0.0), y)
+        assert kernel(delay="search", largest_delay=12).fit(Record(u, moved)).values["delay"] == 2.0
+
+
+def test_the_regressogram_knows_the_variance_that_is_left():
+    rng = np.random.default_rng(5)
+    u = rng.uniform(-1, 1, 20_000)
+    y = u + rng.normal(scale=np.sqrt(1 / 3), size=len(u))
+    # Half of the variance is noise, of which 141 means take 141 of 20 000.
+    assert unexplained(u, y) == pytest.approx(0.5, abs=0.02)
+    assert unexplained(u, np.full(len(u), 2.0)) == 1.0
+    assert unexplained(np.full(100, 2.0), y[:100]) == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("delay", "b", "factor"), [(2, [0, 0, 4, 1], 4.0), ("search", [0, 0, 4, 1], 4.0), (0, [0.5, 1], 0.5)]
+)
+@pytest.mark.parametrize("prefilter", [None, hi.LeastSquares(order=1)])
+def test_the_rule_is_that_of_the_coefficient_at_the_delay(delay, b, factor, prefilter):
+    system = hi.Hammerstein(nonlinearity="abs", linear=hi.Arma(a=[0.5], b=b))
+    (rule,) = kernel(prefilter=prefilter, delay=delay).normalisations()
+    assert rule.factors(system.truth(), None) == {"linear": factor}
+    counted = {2: ", lags counted from the delay 2", "search": ", lags counted from the delay", 0: ""}[delay]
+    assert rule.rule == ("b_0 = 1" if prefilter else "gamma_0 = 1, a constant left in") + counted
+
+
+def test_a_delay_beyond_the_system_s_own_fixes_the_impulse_response_there():
+    system = hi.Hammerstein(nonlinearity="abs", linear=hi.Ar(a=[0.5], b0=3))
+    (plain,) = kernel(delay=2).normalisations()
+    assert plain.factors(system.truth(), None) == {"linear": 0.75}
+    made = record([3.0], (0.5,), samples=4000)
+    moved = np.ptp(kernel(delay=2).fit(made).nonlinearity(np.array([0.1, 0.9])))
+    assert moved == pytest.approx(0.75 * 0.8, rel=0.1)
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+@pytest.mark.parametrize("prefilter", [None, hi.LeastSquares(order=1)])
+def test_another_delay_than_the_system_s_is_told_with_the_remedy(delay, prefilter):
+    system = hi.Hammerstein(nonlinearity="abs", linear=hi.Fir(b=[0, 1]))
+    (rule,) = kernel(prefilter=prefilter, delay=delay).normalisations()
+    message = (
+        f"the system's block delays its input by 1 sample, and the estimator counts on {delay}: "
+        "set the estimator's 'delay' to 1, or to search"
+    )
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        rule.factors(system.truth(), None)
+
+
+def test_a_held_continuous_block_delays_by_a_sample():
+    system = hi.Hammerstein(nonlinearity="abs", linear=hi.Continuous(a=[0.05]))
+    (rule,) = kernel(delay=1).normalisations()
+    (factor,) = (rule.factors(system.truth(), 1.0) or {}).values()
+    assert factor == pytest.approx(1.0, abs=1e-8)
+    record = hi.simulate(system, IID, 400, dt=1.0)
+    found = hi.fit(kernel(delay="search"), record)
+    assert found.values["delay"] == 1.0
+    assert found.nonlinearity is not None
+    np.testing.assert_allclose(found.nonlinearity(np.array([-0.6, 0.6])), 0.6, atol=0.05)
+
+
+def test_coefficients_are_named_by_their_lag():
+    prefilter = hi.InstrumentalVariables(order=1, instrument="abs", ma_order=1)
+    made = record([0, 0, 1, 0.4], (0.5,), samples=20_000)
+    given = kernel(prefilter=prefilter, delay=2)
+    values = given.fit(made).values
+    assert list(values) == list(given.names()) == ["a_1", "b_3", "c", "delay"]
+    assert values["b_3"] == pytest.approx(0.4, abs=0.05)
+    # Where the lag is not known before the fit, there is no name.
+    searched = kernel(prefilter=prefilter, delay="search")
+    assert list(searched.names()) == ["a_1", "c", "delay"]
+    assert {f"value {name}" for name in searched.names()} < searched.provides()
+
+
+CONFIGURATION = """\
+version: 1
+title: Behind a delay
+trials: 2
+samples: 300
+system: {kind: hammerstein, nonlinearity: abs, linear: {kind: fir, b: [0, 1]}}
+excitation: {kind: iid, distribution: uniform, low: -1, high: 1}
+noise: {kind: white, std: 0.05}
+estimators:
+  kernel: {kind: kernel, kernel: gaussian, bandwidth: {h0: 0.2, alpha: 1/5}, delay: DELAY}
+metrics:
+  nonlinearity: {kind: nonlinearity_percent_error, interval: [-0.9, 0.9]}
+  delay: {kind: value, of: [delay]}
+"""
+
+
+@pytest.mark.parametrize("delay", ["1", "search"])
+def test_a_configuration_with_a_delay_runs(tmp_path, delay):
+    plan = planned(tmp_path, CONFIGURATION.replace("DELAY", delay))
+    table = hi.run(plan.document.data).frame()
+    means = {row["metric"]: row["mean"] for row in table.to_dict("records")}
+    assert means["delay delay"] == 1.0
+    assert means["nonlinearity"] < 10
+
+
+@pytest.mark.parametrize(
+    ("delay", "message"),
+    [
+        ("-1", "must be a whole number of samples, 0 or more, or 'search', not -1"),
+        ("0.5", "must be a whole number of samples, 0 or more, or 'search', not 0.5"),
+        ("true", "must be a whole number of samples, 0 or more, or 'search', not True"),
+        ("find", "must be a whole number of samples, 0 or more, or 'search', not 'find'"),
+    ],
+)
+def test_what_is_no_delay_is_refused(tmp_path, delay, message):
+    (line,) = refusals(tmp_path, CONFIGURATION.replace("DELAY", delay))
+    assert line.startswith(f"a.yaml:9: estimators.kernel.delay: {message}")
+
+
+def test_a_largest_delay_belongs_to_a_search(tmp_path):
+    with pytest.raises(hi.ConfigError, match="only 'delay: search' takes largest_delay"):
+        kernel(delay=2, largest_delay=5)
+    with pytest.raises(ValidationError):
+        hi.Kernel.model_validate({"kernel": "gaussian", "bandwidth": BANDWIDTH, "largest_delay": 5})
+
+
+def test_records_that_are_too_short_are_refused():
+    assert kernel(delay=7).fewest_samples() == 8
+    assert kernel(delay="search").fewest_samples() == 14
+    assert kernel(delay=7, prefilter=hi.LeastSquares(order=2)).fewest_samples() == 13
+    short = Record(np.arange(5.0), np.arange(5.0))
+    with pytest.raises(hi.EstimationError, match=r"^no experiment holds more than the 5 samples that the d"):
+        kernel(delay=5).fit(short)
+
+
+def test_a_search_in_which_no_delay_can_be_judged_says_why():
+    def refused(delay):
+        raise hi.EstimationError(f"not with {delay}")
+
+    message = "no delay from 0 to 3 can be judged (the last: not with 3)"
+    with pytest.raises(hi.EstimationError, match=f"^{re.escape(message)}$"):
+        search_delay(refused, 3)
+
+
+def test_a_prefilter_whose_block_delays_names_the_remedy():
+    made = record([0, 1], (0.5,))
+    with pytest.raises(hi.EstimationError, match=r"give their number as 'delay' of the estimator$"):
+        kernel(prefilter=hi.KnownDynamics(a=[0.5], b=[0, 1])).fit(made)
+
+
+@each_prefilter
+def test_errors_stand_where_the_output_has_them(prefilter, a):
+    made = record([0.0, 0.0, 3.0], a, noise=hi.White(std=0.01))
+    estimator = kernel(prefilter=prefilter, delay="search")
+    found = estimator.fit(made)
+    errors = estimator.errors(found, made)
+    dropped = 2 + len(a)
+    assert np.all(np.isnan(errors[:dropped]))
+    predicted = found.nonlinearity(made.u[dropped - 2 : -2])
+    if a:
+        predicted = predicted + found.values["a_1"] * made.y[dropped - 1 : -1]
+    np.testing.assert_allclose(errors[dropped:], made.y[dropped:] - predicted, atol=1e-12)
+    left_out = estimator.left_out_errors(found, made)
+    assert np.all(np.isnan(left_out[:dropped]))
+    # Without its own sample an estimate is farther from it.
+    assert np.mean(left_out[dropped:] ** 2) > np.mean(errors[dropped:] ** 2)
+
+
+def test_a_delay_may_be_one_of_the_settings_that_the_data_choose():
+    made = record([0.0, 1.0], noise=hi.White(std=0.05))
+    settings = {"kind": "kernel", "kernel": "gaussian", "bandwidth": BANDWIDTH}
+    for by in ("leave_one_out", "cross_validation"):
+        found = hi.fit(hi.Select(by=by, over={"delay": [1, 2, 3]}, estimator=settings), made)
+        assert found.values["selected delay"] == 1.0
