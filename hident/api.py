@@ -501,6 +501,8 @@ def status(
     from hident.reports.output import Outputs
 
     plan = validate(experiment, trials=trials, seed=seed, overrides=overrides)
+    with Store(Path(store)).reading() as reader:
+        plan = runner.reached(plan, reader)
     return {
         "stored": sum(runner.stored(plan, Store(Path(store)))),
         "of": plan.trials * len(plan.units),

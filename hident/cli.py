@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 import hident
 from hident import arithmetic, console, stopping
 from hident.config.suggest import did_you_mean, one_of
-from hident.errors import Exit, HidentError, NothingToCompare
+from hident.errors import ConfigError, Exit, HidentError, NothingToCompare
 
 if TYPE_CHECKING:
     from hident.engine.experiment import Plan
@@ -312,7 +312,7 @@ def run(
 
     plans = _plans(configs, assignments, trials, seed, plugin, trial_timeout)
     if at_most is not None:
-        plans = [plan.changed(trials=min(plan.trials, at_most)) for plan in plans]
+        plans = [plan.at_most(at_most) for plan in plans]
     with (
         logging_to(log),
         bench(plans, out, store, wait, jobs, plugin or (), quiet, executor, scheduler) as place,
@@ -503,26 +503,40 @@ def schema(
 def export(
     config: Config,
     file: Annotated[Path, typer.Argument(help="Where to: FILE.csv or FILE.parquet.")],
+    what: Annotated[
+        str,
+        typer.Option(
+            metavar="values|records|estimates|timing",
+            help="Scores (values, the default) and seconds, as stored; records and estimates, made again.",
+        ),
+    ] = "values",
     assignments: Set = None,
     trials: Trials = None,
     seed: Seed = None,
     store: StoreFolder = _STORE,
     plugin: Plugins = None,
 ) -> None:
-    """Write the stored trials to CSV or Parquet.
+    """Write the trials to CSV or Parquet.
 
-    One row for each trial and metric.
+    One row for each trial and metric; or for each sample of each record, each parameter and point of a curve
+    of each estimate, each fit.
     """
+    from hident.commands.exporting import What, export
     from hident.commands.plans import load_plans
-    from hident.commands.showing import export
 
+    if what not in (names := [*What]):
+        near = did_you_mean(what, names)
+        raise typer.BadParameter(f"'{what}' cannot be exported{near} (allowed: {one_of(names)})")
     [plan] = load_plans([config], assignments, {"trials": trials, "seed": seed}, plugin or ())
-    print(export(plan, store, file))
+    print(export(plan, store, file, What(what)))
 
 
 @app.command()
 def show(
-    files: Samples,
+    files: Annotated[
+        list[Path],
+        typer.Argument(help="A configuration; a fitted model (.json); or files of samples (CSV, MAT, ...)."),
+    ],
     input_: InputColumn = None,
     output: OutputColumn = None,
     dt: Dt = None,
@@ -533,13 +547,83 @@ def show(
     resample: Resample = None,
     decimate: Decimate = None,
     gaps: Gaps = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to write the figures to.")] = None,
+    trial: Annotated[
+        int | None, typer.Option(min=0, help="Of a configuration: the number of the trial; 0 by default.")
+    ] = None,
+    worst: Annotated[
+        str | None, typer.Option(metavar="METRIC", help="The stored trial that is worst by this metric.")
+    ] = None,
+    best: Annotated[
+        str | None, typer.Option(metavar="METRIC", help="The stored trial that is best by this metric.")
+    ] = None,
+    failed: Annotated[
+        bool, typer.Option("--failed", help="List the stored trials that failed, with the reasons.")
+    ] = False,
+    estimator: Annotated[
+        str | None, typer.Option(metavar="NAME", help="One estimator; all of the case by default.")
+    ] = None,
+    case: Annotated[
+        list[str] | None,
+        typer.Option(metavar="AXIS=LABEL", help="A label of the case; the first case by default."),
+    ] = None,
+    parquet: Annotated[bool, typer.Option("--parquet", help="Write tables as Parquet, not CSV.")] = False,
+    assignments: Set = None,
+    trials: Trials = None,
+    seed: Seed = None,
+    store: StoreFolder = _STORE,
+    plugin: Plugins = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder to write to, of anything; for a trial by default out/CONFIG/trial-NUMBER."),
+    ] = None,
 ) -> None:
-    """Show what is in a file: a measured record, or a fitted model.
+    """Show one trial, a measured record or a fitted model.
 
-    Of a record: signals, delay, which nonlinearities the input can excite, and what is wrong with it. Of a
-    model (.json): its blocks as formulas. Figures with --out.
+    Of a trial, which is made again: its scores beside those of all stored trials, and as files the record,
+    the estimates (parameters, curves of the blocks), the scores and a figure. Of a record: signals, delay,
+    which nonlinearities the input can excite, and what is wrong with it. Of a model (.json): its blocks as
+    formulas. Figures of these with --out. The options from --trial on are for a configuration, those before
+    for a record.
     """
+    from hident.commands.plans import is_config, load_plans
+
+    of_record = {
+        "input": input_,
+        "output": output,
+        "dt": dt,
+        "time": time,
+        "estimate": estimate,
+        "validate": validate,
+        "detrend": detrend,
+        "resample": resample,
+        "decimate": decimate,
+        "gaps": gaps,
+    }
+    of_trial = {
+        "trial": trial,
+        "worst": worst,
+        "best": best,
+        "failed": failed or None,
+        "estimator": estimator,
+        "case": case,
+        "parquet": parquet or None,
+        "set": assignments,
+        "trials": trials,
+        "seed": seed,
+        "plugin": plugin,
+    }
+    config = len(files) == 1 and is_config(files[0])
+    if strange := [
+        f"--{name}" for name, value in (of_record if config else of_trial).items() if value is not None
+    ]:
+        what = ("a configuration", "measured records") if config else ("no configuration", "configurations")
+        raise ConfigError(f"{files[0]} is {what[0]}, and {one_of(strange)} is for {what[1]}")
+    if config:
+        from hident.commands.one_trial import Wanted, show_trial
+
+        wanted = Wanted(trial, worst, best, failed, estimator, tuple(case or ()))
+        [plan] = load_plans(files, assignments, {"trials": trials, "seed": seed}, plugin or ())
+        raise typer.Exit(show_trial(plan, store, wanted, out, parquet=parquet))
     if len(files) == 1 and files[0].suffix.lower() == ".json":
         from hident.commands.models import print_model
 

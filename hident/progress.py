@@ -94,8 +94,11 @@ class _Notices:
     def start(self, total: int, stored: int) -> None:
         self._left = total - stored
         self._start = self._last = self._clock()
+        # A run may have several rounds, each with a watch of its own.
+        self._stopped = threading.Event()
         if stored < total:
-            threading.Thread(target=self._watch, name="progress", daemon=True).start()
+            watch = threading.Thread(target=self._watch, args=(self._stopped,), name="progress", daemon=True)
+            watch.start()
 
     def begins(self, work: str) -> None:
         with self._lock:
@@ -138,8 +141,8 @@ class _Notices:
                     "SECONDS ends trials that take longer"
                 )
 
-    def _watch(self) -> None:
-        while not self._stopped.wait(_LOOK_SECONDS):
+    def _watch(self, stopped: threading.Event) -> None:
+        while not stopped.wait(_LOOK_SECONDS):
             self.look()
 
 

@@ -21,6 +21,7 @@ import yaml
 from hypothesis import HealthCheck, settings
 
 from hident.engine.blocks import Block
+from hident.engine.scores import SECONDS
 from hident.engine.work import pin_blas
 from tests.forked import GUARD_SECONDS, Forked, run_forked
 
@@ -198,9 +199,13 @@ class Lab:
 
     def trials(self) -> dict[tuple[str, str, int], bytes]:
         """All stored values by estimator, case and trial, to the last bit."""
-        query = "SELECT described, data FROM blocks JOIN units USING (key) ORDER BY key, first"
+        query = (
+            "SELECT described, data FROM blocks JOIN units USING (key) WHERE key NOT GLOB ? "
+            "ORDER BY key, first"
+        )
         with closing(sqlite3.connect(self.store)) as connection:
-            found = [(json.loads(text), Block.decoded(data)) for text, data in connection.execute(query)]
+            rows = connection.execute(query, (f"{SECONDS}*",))
+            found = [(json.loads(text), Block.decoded(data)) for text, data in rows]
         return {
             (unit["estimator"], str(unit["case"]), trial): values.tobytes()
             for unit, block in found

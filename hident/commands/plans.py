@@ -80,10 +80,16 @@ def file_of(config: Path) -> Path:
     return next((file for file in named if file.exists()), config)
 
 
+def is_config(file: Path) -> bool:
+    """Whether a configuration is meant, by its ending or by its name."""
+    file = file_of(file)
+    return file.suffix.lower() in (".yaml", ".yml") or not (file.suffix or file.exists())
+
+
 def described(plan: Plan) -> str:
     """One line on a sound configuration."""
     cases, units = len({unit.data.key for unit in plan.units}), len(plan.units)
     return (
         f"{plan.path}: fine: {cases} case{'s' * (cases != 1)}, {units} estimate{'s' * (units != 1)} "
-        f"of {plan.trials} trial{'s' * (plan.trials != 1)}"
+        f"of {plan.trials_said}"
     )

@@ -143,7 +143,9 @@ class Bench:
         def repeated(k: int) -> TrialValues:
             with Store(self.store).writing(self.wait) as writer:
                 name = f"{plan.name}, perturbation {k} of {perturbations}"
-                return TrialValues.of(self._trials(plan.changed(perturbation=k), writer, name))
+                # With a rule, as many as the run came to.
+                perturbed = plan.changed(perturbation=k, trials=values.trials)
+                return TrialValues.of(self._trials(perturbed, writer, name))
 
         return Sensitivity.measured(values, map(repeated, range(1, perturbations + 1)))
 

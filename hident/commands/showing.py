@@ -1,4 +1,4 @@
-"""What is stored and how results stand: the verbs status, export, compare, verify and doctor."""
+"""What is stored and how results stand: the verbs status, compare, verify and doctor."""
 
 from __future__ import annotations
 
@@ -7,26 +7,15 @@ import math
 import shutil
 import textwrap
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from hident import plugins
 from hident.config.suggest import one_of
 from hident.engine.experiment import Plan
-from hident.engine.runner import complete, stored
-from hident.engine.store import Reader, Store
-from hident.errors import ConfigError, Exit
-from hident.new_files import replacing
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-_OWN = ("estimator", "trial", "metric", "value", "failure")
-"""The columns of an export besides the axes."""
-_ROWS = 100_000
-"""The rows of an export that are in memory at once."""
+from hident.engine.runner import reached, stored
+from hident.engine.store import Store
+from hident.errors import Exit
 
 
 def print_status(plans: Sequence[Plan], out: Path, folder: Path) -> None:
@@ -36,8 +25,12 @@ def print_status(plans: Sequence[Plan], out: Path, folder: Path) -> None:
     store = Store(folder)
     rows = [("configuration", "trials stored", "of", "outputs")]
     for plan in plans:
-        done, wanted = sum(stored(plan, store)), plan.trials * len(plan.units)
-        rows.append((plan.name, str(done), str(wanted), Outputs(plan, out / plan.name).state()))
+        with store.reading() as reader:
+            now = reached(plan, reader)
+        done, wanted = sum(stored(now, store)), now.trials * len(plan.units)
+        # With a rule, the next decision may ask for more.
+        more = " or more" if now.trials < now.decisions[-1] and done < wanted else ""
+        rows.append((plan.name, str(done), f"{wanted}{more}", Outputs(plan, out / plan.name).state()))
     print_columns(rows)
     with store.reading() as reader:
         print(f"{store.path}: {reader.count()} scores in all")
@@ -125,74 +118,6 @@ def print_diagnosis(store: Path, plugin_files: Sequence[Path]) -> Exit:
     unsound = any(finding.state == "unsound" for finding in findings)
     print("something is unsound" if unsound else "nothing is unsound")
     return Exit.DIFFERS if unsound else Exit.FINE
-
-
-def export(plan: Plan, folder: Path, file: Path) -> str:
-    """Write the stored trials of a plan to CSV or Parquet; returns a line that says so."""
-    if file.suffix not in (".csv", ".parquet"):
-        raise ConfigError(f"{file}: the name must end in .csv or .parquet")
-    try:
-        with replacing(file) as new, Store(folder).reading() as reader:
-            rows = (_write_csv if file.suffix == ".csv" else _write_parquet)(new, _frames(plan, reader))
-            done = sum(complete(reader, keys.values(), plan.trials) for keys in plan.keys)
-    except ImportError:
-        raise ConfigError("writing Parquet needs pyarrow: pip install 'hident[parquet]'") from None
-    missing = plan.trials * len(plan.units) - done
-    said = f"; {missing} trials are not computed yet (hident run)" if missing else ""
-    return f"{file}: {rows} rows of {done} trials{said}"
-
-
-def _frames(plan: Plan, reader: Reader) -> Iterator[pd.DataFrame]:
-    """The stored trials, a row for each with its metric, some at a time."""
-    import pandas as pd
-
-    columns = [*(axis.name for axis in plan.axes), *_OWN]
-    rows: list[dict[str, Any]] = []
-    for unit, keys in zip(plan.units, plan.keys, strict=True):
-        for name, metric in unit.metrics.items():
-            for scores in reader.trials(keys[name], plan.trials):
-                rows += [
-                    {
-                        **unit.labels,
-                        "estimator": unit.name,
-                        "trial": trial,
-                        "metric": label,
-                        "value": value,
-                        "failure": scores.failures.get(trial, ""),
-                    }
-                    for trial, values in zip(scores.trials.tolist(), scores.values.tolist(), strict=True)
-                    for label, value in zip(metric.labels(name), values, strict=True)
-                ]
-                if len(rows) >= _ROWS:
-                    yield pd.DataFrame(rows, columns=columns)
-                    rows = []
-    yield pd.DataFrame(rows, columns=columns)
-
-
-def _write_csv(file: Path, frames: Iterable[pd.DataFrame]) -> int:
-    rows = 0
-    with file.open("w", encoding="utf-8", newline="") as out:
-        for frame in frames:
-            frame.to_csv(out, index=False, header=not rows, lineterminator="\n")
-            rows += len(frame)
-    return rows
-
-
-def _write_parquet(file: Path, frames: Iterable[pd.DataFrame]) -> int:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    with ExitStack() as stack:
-        writer, rows = None, 0
-        for frame in frames:
-            # An axis may hold numbers and names, which a column of Parquet cannot.
-            axes = frame.columns[: -len(_OWN)]
-            table = pa.Table.from_pandas(frame.astype(dict.fromkeys(axes, str)), preserve_index=False)
-            if writer is None:
-                writer = stack.enter_context(pq.ParquetWriter(file, table.schema))
-            writer.write_table(table)
-            rows += len(frame)
-    return rows
 
 
 def print_columns(rows: Sequence[tuple[str, ...]]) -> None:

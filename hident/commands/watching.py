@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from hident.engine.chunks import in_common
 from hident.engine.experiment import Plan, Unit
+from hident.engine.runner import reached
 from hident.engine.store import Count, Store
 from hident.progress import duration, rate_of
 
@@ -115,7 +116,10 @@ class View:
         for plan, rows in self._of_plans:
             keys = {key for keys in plan.keys for key in keys.values()}
             with self._store.reading() as reader:
-                found = {key: reader.counted(key, plan.trials) for key in keys}
+                trials = reached(plan, reader).trials
+                found = {key: reader.counted(key, trials) for key in keys}
+            for row in rows:
+                row.of = len(row.units) * trials
             now = self._clock()
             for row in rows:
                 row.take(found, now)

@@ -46,7 +46,7 @@ def fields(spec: type[Spec], prefix: str = "") -> Iterator[tuple[str, str, str, 
 
 def bounds(field: FieldInfo) -> str:
     """The bounds of a number that a field holds, e.g. `` > 0, < 1``; empty if there are none."""
-    holds = _holds(annotation_of(field))
+    holds = _holds(annotation_of(field)).removesuffix(" or mapping")
     return "" if " or " in holds else holds.removeprefix("whole ").removeprefix("number")
 
 

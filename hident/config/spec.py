@@ -203,12 +203,11 @@ class Spec(BaseModel, metaclass=_Meta):
             case "string_type":
                 message = "must be text"
         message = message.removeprefix("Value error, ").replace("Input should be", "must be")
-        if message in (_A_NUMBER, _A_WHOLE_NUMBER) and len(loc) == 1 and loc[0] in cls.model_fields:
-            message = cls._allowed(str(loc[0]), detail["input"], message)
+        written = _as_written(loc, data, message)
+        if message in (_A_NUMBER, _A_WHOLE_NUMBER) and len(written) == 1 and written[0] in cls.model_fields:
+            message = cls._allowed(str(written[0]), detail["input"], message)
         return InitErrorDetails(
-            type=PydanticCustomError("config", message),
-            loc=_as_written(loc, data, message),
-            input=detail["input"],
+            type=PydanticCustomError("config", message), loc=written, input=detail["input"]
         )
 
     @classmethod

@@ -20,6 +20,7 @@ from hident.config.yaml12 import Complaint, Location
 from hident.engine.cases import CHANGEABLE, DATA, Axis, Label, Skip
 from hident.engine.comparable import incomparable
 from hident.engine.fingerprint import fingerprint, libraries
+from hident.engine.scores import SECONDS
 from hident.engine.trial import Data, digest
 from hident.engine.written import Written
 from hident.errors import ConfigError, RecordAbsent
@@ -71,6 +72,22 @@ class Unit:
             name: digest({"of": identity, "seed": seed, **perturbed})
             for name, identity in self._identities.items()
         }
+
+    @cached_property
+    def _fit_identity(self) -> str:
+        """A hash of what its estimates depend on besides the seed and the trial."""
+        return digest(
+            {
+                "data": str(self.data.key),
+                "estimator": canonical(self.estimator),
+                "code": fingerprint((self.data, self.estimator)),
+                "libraries": libraries(),
+            }
+        )
+
+    def timing_key(self, seed: int, perturbation: int = 0) -> str:
+        """The key of the seconds that its fits took, which depend on no metric."""
+        return f"{SECONDS}{digest([self._fit_identity, seed, perturbation])}"
 
     def is_at(self, labels: Mapping[str, Any]) -> bool:
         """Whether it stands at these labels; an axis that does not touch it does not count."""

@@ -46,6 +46,7 @@ from hident.engine.cases import (
 from hident.engine.every_value import with_every_value
 from hident.engine.expansion import Expansion, Unit
 from hident.engine.run_files import POWER, misnamed
+from hident.engine.sequential import Sequential, Statistic, Trials, Until
 from hident.engine.written import NEEDED, Written
 from hident.errors import ConfigError, RecordAbsent
 from hident.estimators.base import EstimatorSpec
@@ -54,7 +55,6 @@ from hident.metrics.base import MetricSpec
 __all__ = ["Experiment", "Label", "Plan", "Published", "PublishedCells", "Statistic", "Unit", "load"]
 
 FORMAT = 1
-Statistic = Literal["mean", "median", "std"]
 
 
 # Whether it scores the estimator at the labels is checked with the printed numbers.
@@ -156,7 +156,7 @@ class Experiment(Written, Cases):
     """Folder under experiments/ with the printed numbers and the reasons."""
     seed: Annotated[Count, Field(ge=0)] = 1
     """Seed of all random streams."""
-    trials: Annotated[Count, Field(ge=1)]
+    trials: Trials
     """Monte Carlo trials of every case."""
     estimators: dict[str, Annotated[EstimatorSpec, Of("estimator"), BeforeValidator(_given)]]
     """The estimators by the name that tables show."""
@@ -203,6 +203,12 @@ class Experiment(Written, Cases):
                 raise ValueError(f"the name {name!r} must consist of letters, digits, - and _")
         return value
 
+    @model_validator(mode="after")
+    def _same_data_are_counted(self) -> Self:
+        if self.published is not None and self.published.same_data and isinstance(self.trials, Sequential):
+            raise ValueError("'same_data' under 'published' needs a number of trials, not a rule")
+        return self
+
     @classmethod
     def __get_pydantic_json_schema__(
         cls, schema: CoreSchema, handler: GetJsonSchemaHandler
@@ -234,6 +240,7 @@ class Plan:
     units: tuple[Unit, ...]
     perturbation: int = 0
     trial_timeout: float | None = None
+    _upto: int | None = None
     _files: dict[Path, bytes | None] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -243,13 +250,54 @@ class Plan:
 
     @property
     def trials(self) -> int:
-        """The number of trials of every unit."""
-        return self.experiment.trials
+        """The number of trials of every unit; with a rule, up to the decision that is looked at."""
+        match self.experiment.trials:
+            case Sequential(until=rule):
+                return rule.least if self._upto is None else self._upto
+            case number:
+                return number
+
+    @property
+    def rule(self) -> Until | None:
+        """The rule that ends a run, if that is no number of trials."""
+        match self.experiment.trials:
+            case Sequential(until=rule):
+                return rule
+        return None
+
+    @property
+    def decisions(self) -> tuple[int, ...]:
+        """The numbers of trials after which a run may end: with a rule, several."""
+        return (self.trials,) if self.rule is None else self.rule.decisions
+
+    @property
+    def trials_said(self) -> str:
+        """The number of trials in words."""
+        if self.rule is not None:
+            return f"{self.rule.least} to {self.rule.most} trials"
+        return f"{self.trials} trial{'s' * (self.trials != 1)}"
+
+    def upto(self, decision: int) -> Plan:
+        """The plan with the trials before a decision of its rule; the plan itself if it has none."""
+        return self if self.rule is None else replace(self, _upto=decision)
+
+    def at_most(self, trials: int) -> Plan:
+        """The plan with no more trials than these."""
+        if self.rule is None or trials < self.rule.least:
+            return self.changed(trials=min(self.trials, trials))
+        rule = self.rule.model_copy(update={"most": min(self.rule.most, trials)})
+        experiment = self.experiment.model_copy(update={"trials": Sequential(until=rule)})
+        return replace(self, experiment=experiment)
 
     @cached_property
     def keys(self) -> tuple[dict[str, str], ...]:
         """For each unit, the keys of its stored trials by the names of its metrics (:meth:`Unit.keys`)."""
         return tuple(unit.keys(self.seed, self.perturbation) for unit in self.units)
+
+    @cached_property
+    def timing_keys(self) -> tuple[str, ...]:
+        """For each unit, the key of the seconds that its fits took (:meth:`Unit.timing_key`)."""
+        return tuple(unit.timing_key(self.seed, self.perturbation) for unit in self.units)
 
     def changed(
         self,
@@ -269,10 +317,11 @@ class Plan:
             update={name: value for name, value in given.items() if value is not None}
         )
         perturbation = self.perturbation if perturbation is None else perturbation
-        if experiment.trials < 1 or min(experiment.seed, perturbation) < 0:
+        wanted = self.trials if trials is None else trials
+        if wanted < 1 or min(experiment.seed, perturbation) < 0:
             raise ConfigError(
                 "trials must be at least 1, seed and perturbation at least 0, not "
-                f"{experiment.trials}, {experiment.seed} and {perturbation}"
+                f"{wanted}, {experiment.seed} and {perturbation}"
             )
         timeout = self.trial_timeout if trial_timeout is None else trial_timeout
         if timeout is not None and not 0.0 < timeout < math.inf:

@@ -10,15 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.config.suggest import did_you_mean
 from hident.engine.clock import Clock, Limit
 from hident.engine.experiment import Label, Plan, Unit
-from hident.engine.trial import FAILURES, Data, Job, estimate, generate, reason
-from hident.errors import ConfigError
+from hident.engine.measurement import Measurement
+from hident.engine.trial import FAILURES, Data, Job, estimate, generate, numbers, reason
+from hident.errors import ConfigError, HidentError, TrialsCrashed
 from hident.records import Estimate, Record, Truth
 
 T = TypeVar("T")
@@ -59,7 +62,7 @@ class OneTrial:
     """
 
     def __init__(self, plan: Plan, trial: int) -> None:
-        self._plan, self._trial = plan, trial
+        self._plan, self.number = plan, trial
         self._records: dict[int, tuple[Record | None, str]] = {}
         self._realised: dict[int, Realised] = {}
 
@@ -73,17 +76,43 @@ class OneTrial:
             near = did_you_mean(estimator, {unit.name for unit in self._plan.units} - {estimator})
             at = ", ".join(f"{axis} {label}" for axis, label in labels.items())
             raise ConfigError(f"there is no estimate of '{estimator}' at {at or 'any case'}{near}")
+        return self.of_unit(unit)
+
+    def of_unit(self, unit: Unit) -> Realised:
+        """The trial of a unit of the plan."""
         if id(unit) not in self._realised:
             self._realised[id(unit)] = self._realise(unit)
         return self._realised[id(unit)]
+
+    def scores(self, unit: Unit) -> dict[str, tuple[float, str]]:
+        """By the labels of a unit's metrics: the value as a run has it, and why there is none (then nan)."""
+        realised, scores = self.of_unit(unit), {}
+        for name, metric in unit.metrics.items():
+            labels = metric.labels(name)
+            found, record, failure = realised.found, realised.record, realised.failure
+            values = None
+            if found is not None and record is not None:
+                values, failure = self._tried(partial(numbers, metric, found, record, len(metric.labels(""))))
+            for i, label in enumerate(labels):
+                value = np.nan if values is None else float(values[i])
+                said = failure or ("" if np.isfinite(value) else f"the value is {value}")
+                scores[label] = (value, said)
+        return scores
 
     def record(self, data: Data) -> tuple[Record | None, str]:
         """The record of a case, or None and why its simulation failed."""
         if data.key not in self._records:
             self._records[data.key] = self._tried(
-                lambda: generate(data, self._plan.seed, self._trial, self._plan.perturbation)
+                lambda: generate(data, self._plan.seed, self.number, self._plan.perturbation)
             )
         return self._records[data.key]
+
+    def noise_free(self, data: Data) -> Array | None:
+        """The output of a case before its noise; None of a measured record, or if it cannot be simulated."""
+        if isinstance(data, Measurement):
+            return None
+        record, _ = self._tried(lambda: data.before_noise(self._plan.seed, self.number))
+        return None if record is None else record.y
 
     def _realise(self, unit: Unit) -> Realised:
         truth, (record, failure) = unit.data.system.truth(), self.record(unit.data)
@@ -91,10 +120,10 @@ class OneTrial:
             return Realised(unit, truth, None, None, failure)
         job = Job(unit.estimator, ())
         seed = self._plan.seed
-        own, failure = self._tried(lambda: unit.data.record_for(job, record, seed, self._trial))
+        own, failure = self._tried(lambda: unit.data.record_for(job, record, seed, self.number))
         if own is None:
             return Realised(unit, truth, record, None, failure)
-        found, failure = self._tried(lambda: estimate(unit.data, job, own, seed, self._trial))
+        found, failure = self._tried(lambda: estimate(unit.data, job, own, seed, self.number))
         return Realised(unit, truth, own, found, failure)
 
     def _tried(self, make: Callable[[], T]) -> tuple[T | None, str]:
@@ -105,3 +134,15 @@ class OneTrial:
                 return clock.limited(make), ""
         except FAILURES as error:
             return None, reason(error)
+
+
+def replayed(trial: OneTrial, unit: Unit) -> Realised:
+    """The trial of a unit; TrialsCrashed if it ends in an error that is no result, as a run would."""
+    try:
+        return trial.of_unit(unit)
+    except HidentError:
+        raise
+    except Exception as error:
+        raise TrialsCrashed(
+            f"trial {trial.number} of {unit.described()} crashed: {type(error).__name__}: {error}"
+        ) from error

@@ -14,6 +14,7 @@ import numpy as np
 
 from hident.arrays import Array
 from hident.engine.experiment import Label, Plan, Statistic, Unit
+from hident.engine.timing import Timing, timing_frame
 from hident.numerics.rounding import is_constant
 
 if TYPE_CHECKING:
@@ -146,13 +147,15 @@ class Results:
     """All trials of a plan: complete, or it would not exist.
 
     ``series`` holds one :class:`Series` for each label of a metric of each unit, ``plan`` what was run,
-    ``timed_out`` how many trials of units count as failed because they took longer than the trial timeout.
-    :meth:`frame` gives the statistics, :meth:`trials_frame` every trial's value.
+    ``timed_out`` how many trials of units count as failed because they took longer than the trial timeout,
+    ``timings`` how long the fits of each unit took. :meth:`frame` gives the statistics, :meth:`trials_frame`
+    every trial's value, :meth:`timing_frame` the seconds.
     """
 
     plan: Plan
     series: tuple[Series, ...]
     timed_out: int = 0
+    timings: tuple[Timing, ...] = ()
 
     def select(
         self,
@@ -188,6 +191,28 @@ class Results:
             for series in self.series
         )
         return pd.concat(parts, ignore_index=True)
+
+    def timing_frame(self) -> pd.DataFrame:
+        """The seconds of a fit: the case's columns, estimator, number of fits, median and quartiles.
+
+        ``relative`` is the median in units of that of the fastest of the case. Of a ``batched`` estimator, a
+        fit has an even share of the time of its batch.
+        """
+        return timing_frame(self.plan, self.timings)
+
+    def imprecise(self) -> tuple[Series, ...]:
+        """The series whose statistic is not as precise yet as ``trials.until`` of the experiment asks."""
+        rule = self.plan.rule
+        if rule is None:
+            return ()
+        with np.errstate(all="ignore"):
+            return tuple(
+                one
+                for one in self.series
+                if (not rule.of or one.metric in rule.of)
+                and not one.standard_error(rule.statistic)
+                <= rule.relative_se * abs(one.value(rule.statistic))
+            )
 
     def _names(self, series: Series) -> dict[str, Label]:
         """What a series is of, by the columns of a table."""

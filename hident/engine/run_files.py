@@ -17,7 +17,9 @@ TRIALS = "trials.csv.xz"
 """The values of every trial."""
 CRASHES = "crashes.txt"
 """What a crashed run leaves."""
-OWN = (RUN, TABLE, PAGE, VERDICTS, TRIALS, CRASHES)
+TIMING = "timing.csv"
+"""How long the fits took: of this run on this machine, so that nothing compares, accepts or hashes it."""
+OWN = (RUN, TABLE, PAGE, VERDICTS, TRIALS, CRASHES, TIMING)
 SENSITIVITY = "sensitivity.csv"
 """How many trials a last bit moves; accept writes it beside the files of the run."""
 POWER = "power"
@@ -26,6 +28,8 @@ NUMBERS, MUTATIONS = "numbers.csv", "mutations.csv"
 """Which alternatives each printed number excludes, and which of them each table rejects."""
 BENCHMARKS = "bench.md"
 """What `make bench` writes to the folder of the accepted results: of no run."""
+SHOWN = "trial-"
+"""How the folders begin, in that of a run, of what `hident show` writes of one trial."""
 _LONGEST = 100
 # The numbers of Windows' devices may be superscripts.
 _DEVICES = re.compile(r"con|prn|aux|nul|(?:com|lpt)[0-9¹²³]")

@@ -21,6 +21,7 @@ from hident.engine.lost import Attempt, Queue
 from hident.engine.results import Results
 from hident.engine.scores import Scores
 from hident.engine.store import MemoryStore, Reader, Store, TrialStore
+from hident.engine.timing import timings
 from hident.engine.trial import Outcome
 from hident.engine.unit_trials import UnitTrials
 from hident.engine.work import Done, Terms, compute
@@ -84,6 +85,9 @@ def run(
 ) -> Results:
     """Compute the missing scores of all units and return all trials.
 
+    With a rule in the place of a number of trials, a run goes on from decision to decision, and the plan of
+    the results has the trials of the last one. What it decides by is the trials alone, not the workers.
+
     Parameters
     ----------
     plan : Plan
@@ -118,11 +122,23 @@ def run(
         executor = SerialExecutor()
     elif not isinstance(executor, Workers):
         executor = Given(executor, workers, Terms.anywhere(plan.plugin_files, [plan]))
-    return _Run(plan, store, kept, executor, keep_going, progress or Silent()).results()
+    # What an earlier run has met is not of this one.
+    executor.others.clear()
+    before: _Run | None = None
+    for number in plan.decisions:
+        one = _Run(plan.upto(number), store, kept, executor, keep_going, progress or Silent(), before)
+        results, before = one.results(), one
+        imprecise = results.imprecise()
+        if plan.rule is not None:
+            said = f"{plan.name}: after {number} trials, {len(imprecise)} of its series are not precise yet"
+            tell("decision", said, config=plan.name, trials=number, imprecise=len(imprecise))
+        if not imprecise:
+            break
+    return results
 
 
 class _Run:
-    """One run of a plan, from what is stored to the results."""
+    """One round of a run of a plan, from what is stored to the results; ``before`` is the round before."""
 
     def __init__(
         self,
@@ -132,27 +148,32 @@ class _Run:
         workers: Workers,
         keep_going: bool,
         progress: Progress,
+        before: _Run | None,
     ) -> None:
         self._plan, self._store, self._kept = plan, store, kept
         self._workers, self._keep_going, self._progress = workers, keep_going, progress
         numbers = plan.trials * sum(len(unit.metric_labels) for unit in plan.units)
         self._units = [
             UnitTrials(*of, plan.trials, store, held=numbers <= _HELD)
-            for of in zip(plan.units, plan.keys, strict=True)
+            for of in zip(plan.units, plan.keys, plan.timing_keys, strict=True)
         ]
+        self._before = before
         # Made one by one, as they are asked for.
         self._queue = Queue(all_chunks(self._units, lambda: workers.count))
         self._pending: dict[Future[Done], Attempt] = {}
         self._idle_losses = 0
         self._crashes: list[Crash] = []
         self._limit = Limit.of(plan.trial_timeout)
-        self._late = 0
+        self._late: int = before._late if before else 0
 
     def results(self) -> Results:
         """Read what is stored, compute the rest."""
         self._store.add(self._described(), ())
         for unit in self._units:
             unit.read()
+        for unit, earlier in zip(self._units, self._before._units if self._before else (), strict=False):
+            unit.take_not_stored(earlier)
+        self._before = None
         with self._told():
             try:
                 self._compute()
@@ -165,7 +186,10 @@ class _Run:
             if self._crashes:
                 raise CrashReport(self._crashes, kept=self._kept)
         return Results(
-            self._plan, tuple(series for unit in self._units for series in unit.series()), self._late
+            self._plan,
+            tuple(series for unit in self._units for series in unit.series()),
+            self._late,
+            timings(self._plan, self._store),
         )
 
     @contextmanager
@@ -189,15 +213,16 @@ class _Run:
     def _described(self) -> dict[str, Any]:
         """What the keys stand for."""
         return {
-            key: {"config": self._plan.name, "estimator": unit.name, "case": unit.labels, "metric": metric}
-            for unit, keys in zip(self._plan.units, self._plan.keys, strict=True)
-            for metric, key in keys.items()
+            key: {"config": self._plan.name, "estimator": unit.unit.name, "case": unit.unit.labels, **of}
+            for unit in self._units
+            for key, of in (
+                *((key, {"metric": metric}) for metric, key in unit.keys.items()),
+                (unit.timing_key, {"seconds": "of a fit"}),
+            )
         }
 
     def _compute(self) -> None:
         """Go on until nothing is missing, or a crash or Ctrl-C ends it."""
-        # What an earlier run has met is not of this one.
-        self._workers.others.clear()
         if not self._queue:
             return
         self._workers.start()
@@ -296,6 +321,8 @@ class _Run:
         for task, outcome in zip(chunk.tasks, outcomes, strict=True):
             unit = task.of.unit
             late: dict[int, str] = {}
+            if outcome.seconds.trials.size:
+                rows.append((task.of.timing_key, outcome.seconds))
             for name, scores, of_late in zip(task.metrics, outcome.scores, outcome.late, strict=True):
                 rows.append((task.of.keys[name], scores))
                 task.of.put(name, scores)
@@ -374,6 +401,32 @@ def stored(plan: Plan, store: Store) -> list[int]:
     """For each unit, how many of its trials the store holds with the scores of all metrics."""
     with store.reading() as reader:
         return [complete(reader, keys.values(), plan.trials) for keys in plan.keys]
+
+
+def reached(plan: Plan, reader: Reader) -> Plan:
+    """The plan up to the decision at which a run would stand that has computed what is stored, and no more.
+
+    Without a rule that is the plan itself, and nothing is read.
+    """
+    now = plan
+    for number in plan.decisions if plan.rule else ():
+        now = plan.upto(number)
+        if any(complete(reader, keys.values(), number) < number for keys in now.keys):
+            break
+        if number < plan.decisions[-1] and not _read(now, reader).imprecise():
+            break
+    return now
+
+
+def _read(plan: Plan, reader: Reader) -> Results:
+    """The results of a plan all of whose trials are stored."""
+    units = [
+        UnitTrials(*of, plan.trials, reader)
+        for of in zip(plan.units, plan.keys, plan.timing_keys, strict=True)
+    ]
+    for unit in units:
+        unit.read()
+    return Results(plan, tuple(series for unit in units for series in unit.series()))
 
 
 def complete(store: Reader, keys: Iterable[str], trials: int) -> int:

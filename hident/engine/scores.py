@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from hident.arrays import Array
 
 Trials = NDArray[np.int64]
+SECONDS = "seconds "
+"""How the keys begin under which stores keep how long fits took: scores of no metric."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,10 +1,10 @@
 """The trials store: one SQLite file that keeps every score ever computed; or one in memory, for one use.
 
 A row is a block (:mod:`hident.engine.blocks`): what one metric gave in some trials of one unit, keyed by
-data, estimator and metric (see :meth:`hident.engine.expansion.Unit.keys`). One process writes, in
-transactions of one chunk each, so that a kill loses at most the chunks in flight. Each block holds its
-checksum: a damaged one counts as not computed. Where the file itself is damaged, the next writer saves the
-blocks that it still holds into a new one.
+data, estimator and metric (see :meth:`hident.engine.expansion.Unit.keys`), or how many seconds its fits took.
+One process writes, in transactions of one chunk each, so that a kill loses at most the chunks in flight. Each
+block holds its checksum: a damaged one counts as not computed. Where the file itself is damaged, the next
+writer saves the blocks that it still holds into a new one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 from filelock import FileLock, Timeout
 
 from hident.engine.blocks import Block, blocks_in, blocks_of
-from hident.engine.scores import Scores
+from hident.engine.scores import SECONDS, Scores
 from hident.errors import StoreBusy, StoreError
 
 _FORMAT = 3
@@ -45,12 +45,16 @@ _CORRUPT = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB}
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 
 
-@runtime_checkable
-class TrialStore(Protocol):
-    """What a run needs of a store."""
+class Stored(Protocol):
+    """What is needed to read a store."""
 
     def trials(self, key: str, below: int) -> Iterable[Scores]:
         """The stored scores of a key in trials with numbers under ``below``, in order."""
+
+
+@runtime_checkable
+class TrialStore(Stored, Protocol):
+    """What a run needs of a store."""
 
     def add(self, units: Mapping[str, Any], scores: Iterable[tuple[str, Scores]]) -> None:
         """Keep scores by their keys, and what each key stands for."""
@@ -356,7 +360,8 @@ class Reader:
 
     def count(self) -> int:
         """How many scores there are: one for each trial and metric."""
-        return sum(int(count) for (count,) in self._rows("SELECT TOTAL(count) FROM blocks"))
+        query = "SELECT TOTAL(count) FROM blocks WHERE key NOT GLOB ?"
+        return sum(int(count) for (count,) in self._rows(query, f"{SECONDS}*"))
 
     def has(self, block: Block) -> bool:
         """Whether a block of the same place is there."""

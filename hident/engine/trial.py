@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
+import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -167,12 +168,14 @@ class Outcome:
     """What one job gave in its trials: the scores of each of its metrics.
 
     A trial that crashed, in the estimate or in a metric, has no scores there, and its first crash is among
-    ``crashes``. Trials that the clock ended are in ``late`` instead, as scores that failed.
+    ``crashes``. Trials that the clock ended are in ``late`` instead, as scores that failed. ``seconds`` says
+    how long each estimate took that there is; of a batch, each has the same share.
     """
 
     scores: tuple[Scores, ...]
     crashes: Mapping[int, Crash]
     late: tuple[Scores, ...]
+    seconds: Scores
 
 
 def generate(data: Data, seed: int, trial: int, perturbation: int = 0) -> Record:
@@ -285,8 +288,9 @@ def run_trials(
         for job, of in zip(jobs, wanted, strict=True):
             there = {trial: records[trial] for trial in of if trial in records}
             own, lost = _own(data, job, there, seed, clock)
-            found = {**failed, **lost, **_estimates(data, job, own, seed, clock)}
-            outcomes.append(_outcome(job, {trial: found[trial] for trial in of}, own, clock))
+            seconds: dict[int, float] = {}
+            found = {**failed, **lost, **_estimates(data, job, own, seed, clock, seconds)}
+            outcomes.append(_outcome(job, {trial: found[trial] for trial in of}, own, clock, seconds))
     return outcomes
 
 
@@ -307,7 +311,11 @@ def _own(
 
 
 def _outcome(
-    job: Job, found: Mapping[int, Estimate | BaseException], records: Mapping[int, Record], clock: Clock
+    job: Job,
+    found: Mapping[int, Estimate | BaseException],
+    records: Mapping[int, Record],
+    clock: Clock,
+    seconds: Mapping[int, float],
 ) -> Outcome:
     crashes: dict[int, Crash] = {}
     scores, late = [], []
@@ -324,7 +332,14 @@ def _outcome(
         kept = {trial: one for trial, one in scored.items() if not isinstance(one, Crash | _Late)}
         scores.append(gathered(kept, labels))
         late.append(gathered(ended, labels))
-    return Outcome(tuple(scores), crashes, tuple(late))
+    return Outcome(tuple(scores), crashes, tuple(late), _seconds_of(found, seconds))
+
+
+def _seconds_of(found: Mapping[int, Estimate | BaseException], seconds: Mapping[int, float]) -> Scores:
+    """The seconds of the estimates that there are: how soon a method fails says nothing of its speed."""
+    timed = [trial for trial, one in found.items() if isinstance(one, Estimate)]
+    taken = np.array([seconds[trial] for trial in timed], dtype=float)
+    return Scores(np.array(timed, dtype=np.int64), taken[:, np.newaxis])
 
 
 def _attempt(make: Callable[[], T], clock: Clock) -> T | BaseException:
@@ -359,21 +374,28 @@ def _records(
 
 
 def _estimates(
-    data: Data, job: Job, records: Mapping[int, Record], seed: int, clock: Clock
+    data: Data,
+    job: Job,
+    records: Mapping[int, Record],
+    seed: int,
+    clock: Clock,
+    seconds: dict[int, float],
 ) -> dict[int, Estimate | BaseException]:
-    """The estimates from the records, or what was raised."""
-    alone = partial(estimate, data, job, seed=seed)
+    """The estimates from the records, or what was raised; ``seconds`` is told how long each took."""
 
     def apart(trials: Iterable[int]) -> dict[int, Estimate | BaseException]:
-        return {
-            trial: _attempt(partial(alone, record=records[trial], trial=trial), clock) for trial in trials
-        }
+        found: dict[int, Estimate | BaseException] = {}
+        for trial in trials:
+            alone = partial(estimate, data, job, records[trial], seed, trial)
+            found[trial], seconds[trial] = _timed(alone, clock)
+        return found
 
     if not (is_batched(job.estimator) and records):
         return apart(records)
-    together = _attempt(partial(_together, data, job, job.estimator, records, seed), clock)
+    together, took = _timed(partial(_together, data, job, job.estimator, records, seed), clock)
     if not isinstance(together, BaseException):
         wrong = _otherwise(together, apart({_CHECKED} & together.keys() if len(together) > 1 else ()))
+        seconds |= dict.fromkeys(records, took / len(records))
         return dict.fromkeys(records, wrong) if wrong else {**together}
     late = isinstance(together, TookTooLong)
     if late and len(records) == 1:
@@ -382,6 +404,13 @@ def _estimates(
     # Where no record by itself explains the error, it is that of fit_many; but the clock is for one trial.
     own = not late and all(isinstance(one, Estimate) for one in found.values())
     return dict.fromkeys(records, together) if own else found
+
+
+def _timed(make: Callable[[], T], clock: Clock) -> tuple[T | BaseException, float]:
+    """What is made, or what was raised instead, and the seconds that it took."""
+    start = time.perf_counter()
+    made = _attempt(make, clock)
+    return made, time.perf_counter() - start
 
 
 def _together(
@@ -436,11 +465,12 @@ def _score(
     metric: MetricSpec, labels: int, found: Estimate, record: Record, clock: Clock
 ) -> Array | str | Crash:
     """The values of a metric; or why it failed; or its crash."""
-    values = _attempt(partial(_numbers, metric, labels, found, record), clock)
+    values = _attempt(partial(numbers, metric, found, record, labels), clock)
     return _failed(values, OF_METRIC) if isinstance(values, BaseException) else values
 
 
-def _numbers(metric: MetricSpec, labels: int, found: Estimate, record: Record) -> Array:
+def numbers(metric: MetricSpec, found: Estimate, record: Record, labels: int) -> Array:
+    """The values of a metric, so many as it has labels; what is raised is what its ``evaluate`` raises."""
     values = np.array(metric.evaluate(found, record), dtype=float)
     if values.shape != (labels,):
         raise ValueError(f"the metric '{metric.kind}' gives {values.size} values for {labels} labels")

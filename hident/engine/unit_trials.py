@@ -13,7 +13,7 @@ from hident.arrays import Array
 from hident.engine.expansion import Unit
 from hident.engine.results import Series, grouped
 from hident.engine.scores import Scores
-from hident.engine.store import TrialStore
+from hident.engine.store import Stored
 from hident.engine.trial import OF_METRIC
 from hident.errors import StoreError
 
@@ -21,13 +21,11 @@ from hident.errors import StoreError
 class _Gathered:
     """All trials of one metric: held in memory, or read from the store again when they are asked for."""
 
-    def __init__(
-        self, labels: Sequence[str], key: str, trials: int, store: TrialStore, *, held: bool
-    ) -> None:
+    def __init__(self, labels: Sequence[str], key: str, trials: int, store: Stored, *, held: bool) -> None:
         self.labels = labels
         self.there = np.zeros(trials, dtype=bool)
         self._key, self._store = key, store
-        self._not_stored: list[Scores] = []
+        self.not_stored: list[Scores] = []
         self._failures: dict[int, str] = {}
         self._held = (
             Scores(np.arange(trials), np.full((len(labels), trials), np.nan).T, self._failures)
@@ -45,7 +43,7 @@ class _Gathered:
         self._check(scores)
         self.there[scores.trials] = True
         if not stored and scores.trials.size:
-            self._not_stored.append(scores)
+            self.not_stored.append(scores)
         if self._held is not None:
             self._held.values[scores.trials] = scores.values
             self._failures.update(scores.failures)
@@ -61,7 +59,7 @@ class _Gathered:
             yield self._held
             return
         missing = np.ones(len(self.there), dtype=bool)
-        for scores in itertools.chain(self._store.trials(self._key, len(self.there)), self._not_stored):
+        for scores in itertools.chain(self._store.trials(self._key, len(self.there)), self.not_stored):
             self._check(scores)
             part = scores.where(missing[scores.trials])
             missing[part.trials] = False
@@ -100,9 +98,16 @@ class UnitTrials:
     """One unit with the scores of its metrics, by their names; held in memory or not."""
 
     def __init__(
-        self, unit: Unit, keys: Mapping[str, str], trials: int, store: TrialStore, *, held: bool = True
+        self,
+        unit: Unit,
+        keys: Mapping[str, str],
+        timing_key: str,
+        trials: int,
+        store: Stored,
+        *,
+        held: bool = True,
     ) -> None:
-        self.unit, self.keys = unit, keys
+        self.unit, self.keys, self.timing_key = unit, keys, timing_key
         self._gathered = {
             name: _Gathered(metric.labels(name), keys[name], trials, store, held=held)
             for name, metric in unit.metrics.items()
@@ -116,6 +121,12 @@ class UnitTrials:
     def put(self, name: str, scores: Scores, *, stored: bool = True) -> None:
         """Take scores of the metric of this name, which the store has too or not."""
         self._gathered[name].put(scores, stored=stored)
+
+    def take_not_stored(self, earlier: UnitTrials) -> None:
+        """Take what an earlier round of the run has of the same unit, and no store."""
+        for name, gathered in earlier._gathered.items():
+            for scores in gathered.not_stored:
+                self.put(name, scores, stored=False)
 
     def complete(self) -> int:
         """How many trials have the scores of all metrics."""

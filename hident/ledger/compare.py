@@ -9,7 +9,8 @@ relative tolerance.
 The cells of table.csv must be the statistics of the trials beside them. The other files are compared by their
 contents (:mod:`hident.ledger.contents`); where some trials took another branch and may, what these files
 differ in is listed and not counted. Every file must be what was written, by the hashes in its run.json.
-Hidden files, ``*.tmp``, and the provenance in ``run.json`` do not count.
+Hidden files, ``*.tmp``, timing.csv, what `hident show` wrote of a trial, and the provenance in ``run.json``
+do not count.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from pathlib import Path
 
 from hident.config.suggest import one_of
 from hident.engine.results import STATISTICS
-from hident.engine.run_files import BENCHMARKS, POWER, RUN, SENSITIVITY, TABLE, TRIALS
+from hident.engine.run_files import BENCHMARKS, POWER, RUN, SENSITIVITY, SHOWN, TABLE, TIMING, TRIALS
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.ledger.contents import Row, content_differences, decode_table
 from hident.ledger.sensitivity import Sensitivity
@@ -31,7 +32,12 @@ from hident.run_folder import RunFolder
 CHANCE = 0.01
 """That a comparison of sound results finds, in any of its units, more moved trials than likely."""
 # What run.json says of the number of trials.
-_OF_TRIALS = ("experiment.trials ", "experiment.hash ", "experiment.resolved.trials ")
+_OF_TRIALS = (
+    "experiment.trials ",
+    "experiment.hash ",
+    "experiment.resolved.trials",
+    "experiment.sequential",
+)
 
 
 @dataclass(frozen=True)
@@ -159,7 +165,10 @@ def _files(folder: Path) -> set[str]:
     found = {
         path.as_posix()
         for path in paths
-        if path.suffix != ".tmp" and not any(part.startswith(".") for part in path.parts)
+        if path.suffix != ".tmp"
+        and path.name != TIMING
+        and not any(part.startswith((".", SHOWN)) for part in path.parts[:-1])
+        and not path.name.startswith(".")
     }
     return found - {BENCHMARKS}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from hident.config.references import EstimatorName
 from hident.config.spec import Component
@@ -36,6 +37,9 @@ class Scored:
 
 class MetricSpec(Component):
     """Base of all metrics."""
+
+    largest_is_best: ClassVar[bool] = False
+    """Whether a larger value is a better one; else a smaller absolute value is."""
 
     estimators: tuple[EstimatorName, ...] | None = None
     """Names of the estimators that it scores; all of them by default."""

@@ -12,6 +12,7 @@ Means and the standard deviation run over all samples of all experiments that ar
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -100,6 +101,8 @@ class RSquared(_OfError):
     0.9914
     """
 
+    largest_is_best: ClassVar[bool] = True
+
     def of_outputs(self, y: Array, y_hat: Array) -> float:
         return 1.0 - nrmse(y, y_hat) ** 2
 
@@ -133,6 +136,8 @@ class FitIndex(_OfError):
     >>> round(hi.score(estimate, record, fit=hi.FitIndex())["fit"], 1)
     90.7
     """
+
+    largest_is_best: ClassVar[bool] = True
 
     def of_outputs(self, y: Array, y_hat: Array) -> float:
         return 100.0 * (1.0 - nrmse(y, y_hat))

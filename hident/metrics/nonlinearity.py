@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, assert_never
+from typing import Annotated, ClassVar, Literal, assert_never
 
 import numpy as np
 from pydantic import Field
@@ -147,6 +147,8 @@ class ErrorReduction(IntegratedSquaredError):
     >>> scores["times"] > 10
     True
     """
+
+    largest_is_best: ClassVar[bool] = True
 
     def needs_of_estimate(self) -> frozenset[str]:
         return super().needs_of_estimate() | {"unfiltered"}

@@ -24,13 +24,14 @@ from hident.config.suggest import one_of
 from hident.engine.experiment import Plan
 from hident.engine.fingerprint import code
 from hident.engine.results import Results
-from hident.engine.run_files import PAGE, TABLE, TRIALS, VERDICTS, figure_file, table_file
+from hident.engine.run_files import PAGE, TABLE, TIMING, TRIALS, VERDICTS, figure_file, table_file
 from hident.engine.trial import digest
 from hident.errors import TrialFailed
 from hident.ledger.power import FEWEST, VerdictPower, power_of, without_reports
 from hident.ledger.published import PUBLISHED, REASONS
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import LEVEL, RUNS, Verdict, Word, fitting_runs, frame, judge
+from hident.new_files import replacing
 from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, misfits
 from hident.reports.scoring import scoring
 from hident.reports.style import style, typeset
@@ -53,7 +54,8 @@ class Outputs:
         return digest(
             {
                 "units": self.plan.keys,
-                "trials": self.plan.trials,
+                # With a rule, that and the units decide how many they are.
+                "trials": self.plan.trials if self.plan.rule is None else canonical(self.plan.rule),
                 "experiment": canonical(experiment),
                 "paper": [
                     content and hashlib.sha256(content).hexdigest()
@@ -88,7 +90,8 @@ class Outputs:
         ConfigError
             If a table or the verdicts ask for a printed number that does not exist.
         """
-        plan, seconds = self.plan, dict(seconds)
+        # With a rule, that of the results knows how many trials were needed.
+        plan, seconds = results.plan, dict(seconds)
         with RunFolder(self.folder).renewed() as new:
             with phase(seconds, "tables"):
                 verdicts = judge(results)
@@ -98,13 +101,15 @@ class Outputs:
             files += [figure_file(name) for name in plan.experiment.figures if name not in undrawn]
             new.seal(
                 {
-                    "experiment": _described(plan),
+                    "experiment": {**_described(plan), **_stopped(results)},
                     "files": sorted(files),
                     **({"undrawn": sorted(map(figure_file, undrawn))} if undrawn else {}),
                     **({"timed_out": _timed_out(results)} if results.timed_out else {}),
                     "provenance": {**_provenance(plan), **run, "seconds": seconds, "key": self.key},
                 }
             )
+        with replacing(self.folder / TIMING) as file:
+            results.timing_frame().to_csv(file, index=False, lineterminator="\n", float_format="%.4g")
         for error in undrawn.values():
             if not isinstance(error, ValueError | TrialFailed):
                 raise error
@@ -187,6 +192,8 @@ def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str,
     """The text of table.md."""
     experiment = results.plan.experiment
     parts = [f"# {experiment.title}", f"{results.plan.trials} trials, seed {results.plan.seed}."]
+    if rule := _rule_said(results):
+        parts.append(rule)
     if records := _records(results.plan):
         parts.append(" ".join(records))
     if said := list(scoring(results.plan)):
@@ -206,6 +213,23 @@ def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str,
 def _records(plan: Plan) -> list[str]:
     """What is said of the measured records, each once."""
     return [*filter(None, dict.fromkeys(unit.data.says() for unit in plan.units))]
+
+
+def _rule_said(results: Results) -> str:
+    """What table.md says of the rule that ended the run; empty if there was none."""
+    if (rule := results.plan.rule) is None:
+        return ""
+    which = one_of(rule.of) if rule.of else "every metric"
+    looks = one_of(str(number) for number in rule.decisions if number <= results.plan.trials)
+    said = (
+        f"A sequential rule ended the run: the standard error of the {rule.statistic} of {which} was to be "
+        f"at most {100 * rule.relative_se:g} % of it, for every estimator and case. It was asked after "
+        f"{looks} trials"
+    )
+    if not (imprecise := results.imprecise()):
+        return f"{said}, and met."
+    names = dict.fromkeys(f"{one.metric} of {one.unit.described()}" for one in imprecise)
+    return f"{said}, and with the most allowed not met by {'; '.join(names)}."
 
 
 def _plain_table(results: Results) -> Table:
@@ -305,6 +329,14 @@ def _described(plan: Plan) -> dict[str, Any]:
         **({"optional_files": optional} if optional else {}),
         "resolved": resolved,
     }
+
+
+def _stopped(results: Results) -> dict[str, Any]:
+    """In run.json, the rule that ended the run, if there was one."""
+    if (rule := results.plan.rule) is None:
+        return {}
+    looks = [number for number in rule.decisions if number <= results.plan.trials]
+    return {"sequential": {"looks": looks, "met": not results.imprecise()}}
 
 
 def _timed_out(results: Results) -> dict[str, Any]:

@@ -168,7 +168,7 @@ def test_schema_is_json(lab: Lab) -> None:
 def test_what_a_run_writes(done: Lab) -> None:
     folder = done.folder / "out/tiny"
     assert sorted(path.name for path in folder.iterdir()) == [
-        "run.json", "table.csv", "table.md", "trials.csv.xz", "verdicts.csv"
+        "run.json", "table.csv", "table.md", "timing.csv", "trials.csv.xz", "verdicts.csv"
     ]  # fmt: skip
     table = pd.read_csv(folder / "table.csv")
     assert ",".join(table.columns) == (
@@ -208,8 +208,9 @@ def test_the_seconds_of_each_phase_are_in_run_json(done: Lab) -> None:
     done.forget()
     done.run("-q", preexec_fn=_tick)
     provenance = json.loads((done.folder / "out/tiny/run.json").read_text())["provenance"]
-    # As a trial takes more than a quarter of a second, each is a chunk, and read before and after.
-    phases = {"records checked": 1, "trials": 2 * 12 + 1, "tables": 1, "figures": 1}
+    # As a trial takes more than a quarter of a second, each is a chunk; the clock is read before and after
+    # it, and before and after each of its two fits.
+    phases = {"records checked": 1, "trials": (2 + 2 * 2) * 12 + 1, "tables": 1, "figures": 1}
     assert provenance["seconds"] == phases
 
 
@@ -261,7 +262,7 @@ def test_files_of_an_earlier_run_are_removed_and_others_are_not(done: Lab) -> No
     done.configure(tables={})
     done.run("-q")
     names = sorted(path.name for path in folder.iterdir())
-    assert names == ["mine.txt", "run.json", "table.csv", "table.md", "trials.csv.xz"]
+    assert names == ["mine.txt", "run.json", "table.csv", "table.md", "timing.csv", "trials.csv.xz"]
 
 
 def test_failed_estimates_are_counted_shown_and_left_out_of_the_mean(lab: Lab) -> None:
@@ -367,7 +368,7 @@ def test_a_figure_that_cannot_be_drawn_withholds_nothing_else(lab: Lab) -> None:
         assert said.startswith("error: tiny.yaml: figures.f: cannot be drawn (")
         assert said.endswith("); all other outputs are written\n")
     assert {path.name for path in (lab.folder / "out/tiny").iterdir()} == {
-        *("run.json", "table.csv", "table.md", "trials.csv.xz")
+        *("run.json", "table.csv", "table.md", "timing.csv", "trials.csv.xz")
     }
     assert "incomplete" in lab.hident("status", "tiny.yaml").stdout
     refused = lab.hident("accept", "tiny", code=2).stderr
@@ -427,7 +428,7 @@ def test_only_accept_changes_results_and_compare_finds_any_change(done: Lab) -> 
     assert "tiny, perturbation 2 of 2: 24/24 trials done" in first.stderr
     accepted = {path.name: path.read_bytes() for path in (results / "tiny").iterdir()}
     out = done.folder / "out/tiny"
-    copied = {path.name: path.read_bytes() for path in out.iterdir()}
+    copied = {path.name: path.read_bytes() for path in out.iterdir() if path.name != "timing.csv"}
     assert {*accepted} == {*copied, "sensitivity.csv"}
     assert all(accepted[name] == copied[name] for name in copied if name != "run.json")
     sensitivity = pd.read_csv(results / "tiny/sensitivity.csv")

@@ -128,8 +128,8 @@ class TestEveryConfiguration:
     [
         ({"version": 2}, "file.version: const"),
         ({"titel": "T"}, "file: additionalProperties"),
-        ({"trials": 0}, "file.trials: minimum"),
-        ({"trials": True}, "file.trials: type"),
+        ({"trials": 0}, "file.trials: oneOf"),
+        ({"trials": {"until": {"most": 9}}}, "file.trials: oneOf"),
         ({"samples": "many"}, "file.samples: anyOf"),
         ({"system": "hammerstien"}, "file.system: anyOf"),
         ({"metrics": {"a": {"kind": "error", "off": ["a_1"]}}}, "file.metrics.a: anyOf"),

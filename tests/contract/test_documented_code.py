@@ -1,6 +1,7 @@
 """README.md and docs/python.md: their code, configurations and commands run, and their tables are true."""
 
 import re
+import shlex
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,7 @@ ADDED = {
     ),
     "hident simulate": "model.json valve.csv --input u",
     "hident show": "model.json",
+    "hident show mzyk_table1 --trial 17": "--out shown",
     "hident convert": "model.json --to python",
     "hident new": "study tank",
     "hident new study valve": "",
@@ -87,6 +89,19 @@ def test_the_commands_run(folder):
     assert said["hident status --watch"].startswith("my: 8/8 trials, done\n")
     assert 'pandas.read_json("run.log", lines=True)' in README
     assert pd.read_json(folder / "run.log", lines=True)["event"].tolist() == ["start", "end", "outputs"]
+
+
+def test_the_commands_on_one_trial_run(folder):
+    hident(folder, "run", "my.yaml", "--trials", "20", "--jobs", "1", "--out", "looked_at", "-q")
+    (text,) = blocks("docs/configuration.md", "bash")
+    first, worst, failed, exported = (
+        hident(folder, *shlex.split(line)[1:], "--trials", "20") for line in text.splitlines()
+    )
+    assert "my: trial 17 at samples 200, seed 1" in first
+    assert "not stored" not in first + worst
+    assert worst.startswith("mise is worst in trial ")
+    assert failed == "my: none of the 20 stored trials failed\n"
+    assert exported.endswith("rows of 20 trials, made again from their seeds\n")
 
 
 def test_an_axis_is_a_variable_and_a_label_sets_several_values(folder):
@@ -172,7 +187,7 @@ def test_what_is_said_of_calls_between_the_lines(space, folder, monkeypatch):
         "y": np.zeros(3),
         "dt": 0.1,
     }
-    assert len(set(calls)) == 19
+    assert len(set(calls)) == 20
     for call in dict.fromkeys(calls):
         # One structure, as all of them take too long.
         eval(call.replace("identify(record)", "identify(record, ['linear'])"), {**space, **names})

@@ -59,6 +59,27 @@ def test_first_interrupt_of_a_pool_keeps_what_is_in_flight(held: Lab, uninterrup
     assert held.table == uninterrupted
 
 
+def test_an_interrupted_run_under_a_rule_comes_to_the_same_number(held: Lab) -> None:
+    held.configure(trials={"until": {"relative_se": 0.02, "least": 5, "most": 1000}})
+    process = held.start("run", "tiny.yaml", "--jobs", "2")
+    held.await_((held.folder / "reached").exists)
+    os.killpg(process.pid, signal.SIGINT)
+    held.await_(lambda: "stopping when the trials in flight are stored" in held.log)
+    (held.folder / "hold").unlink()
+    assert process.wait() == 130
+    assert _RESUMES in held.log
+    held.await_alone()
+    assert " or more" in held.hident("status", "tiny.yaml").stdout
+    held.run("-q", "--jobs", "2")
+    table = held.table
+    trials = {int(row.split(",")[3]) for row in table.decode().splitlines()[1:]}
+    assert len(trials) == 1
+    assert 5 < trials.pop() < 1000
+    held.forget()
+    held.run("-q")
+    assert held.table == table
+
+
 @pytest.mark.parametrize(
     ("number", "whole_group", "ignored"),
     [

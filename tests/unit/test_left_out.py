@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hident.commands.showing import export
+from hident.commands.exporting import export
 from hident.engine.experiment import Plan
 from hident.engine.runner import run
 from hident.engine.store import Store

@@ -284,7 +284,7 @@ def test_chunks_of_many_workers_take_longer_but_not_at_the_end(
 @pytest.mark.parametrize("held", [True, False])
 def test_trials_that_are_not_stored_are_read_beside_those_that_are(lab: Lab, held: bool) -> None:
     plan, store = _plan(lab, trials=4), MemoryStore()
-    trials = UnitTrials(plan.units[0], plan.keys[0], 4, store, held=held)
+    trials = UnitTrials(plan.units[0], plan.keys[0], plan.timing_keys[0], 4, store, held=held)
     of_metric = np.array([[0.5], [0.25], [np.nan]])
     stored = Scores(np.array([0, 2, 3]), of_metric, {3: "singular"})
     store.add({}, [(plan.keys[0]["a"], stored)])
@@ -400,9 +400,12 @@ def test_stored_trials_are_read_once_and_keys_are_made_once(
     outputs = Outputs(plan, lab.folder / "out")
     outputs.state()
     outputs.write(_run(lab, plan)[0], {})
-    assert sorted(read) == sorted(key for keys in plan.keys for key in keys.values())
+    scores = [key for keys in plan.keys for key in keys.values()]
+    assert sorted(read) == sorted([*scores, *plan.timing_keys])
     stored(plan, Store(lab.folder / "s"))
-    assert len(hashed) == len(keyed) == len(plan.units)
+    # Of each unit, the code that a metric's scores and that its seconds depend on.
+    assert len(hashed) == 2 * len(plan.units)
+    assert len(keyed) == len(plan.units)
 
 
 def test_perturbed_trials_are_a_last_bit_away_and_have_keys_of_their_own(lab: Lab) -> None:
