@@ -77,6 +77,12 @@ Scheduler = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="A Dask scheduler that stands: tcp://HOST:PORT, or its file."),
 ]
+Formats = Annotated[
+    str | None,
+    typer.Option(
+        "--format", metavar="FORMATS", help="Override the formats of the files: png,pdf,svg and tex."
+    ),
+]
 Wait = Annotated[float, typer.Option(min=0, help="Seconds to wait while another run holds the store.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress and no tables.")]
 TrialTimeout = Annotated[
@@ -205,6 +211,7 @@ def _plans(
     seed: int | None,
     plugin: list[Path] | None,
     trial_timeout: float | None = None,
+    formats: str | None = None,
 ) -> list[Plan]:
     """The plans of all configurations but those whose optional records are not here, which it names."""
     from hident.commands.plans import load_plans
@@ -212,7 +219,7 @@ def _plans(
     def left_out(said: str) -> None:
         print(f"left out: {said}", file=sys.stderr)
 
-    options = {"trials": trials, "seed": seed}
+    options = {"trials": trials, "seed": seed, "formats": formats}
     plans = load_plans(configs, assignments, options, plugin or (), left_out)
     return [plan.changed(trial_timeout=trial_timeout) for plan in plans]
 
@@ -296,6 +303,7 @@ def run(
     scheduler: Scheduler = None,
     out: Out = _OUT,
     store: StoreFolder = _STORE,
+    formats: Formats = None,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Finish the rest after a crash.")] = False,
     trial_timeout: TrialTimeout = None,
     wait: Wait = 0.0,
@@ -310,7 +318,7 @@ def run(
     from hident.commands.log_file import logging_to
     from hident.commands.running import bench
 
-    plans = _plans(configs, assignments, trials, seed, plugin, trial_timeout)
+    plans = _plans(configs, assignments, trials, seed, plugin, trial_timeout, formats)
     if at_most is not None:
         plans = [plan.at_most(at_most) for plan in plans]
     with (
@@ -418,6 +426,7 @@ def accept(
     out: Out = _OUT,
     results: Annotated[Path, typer.Option(help="Folder of the accepted results.")] = _RESULTS,
     store: StoreFolder = _STORE,
+    formats: Formats = None,
     perturbations: Annotated[
         int, typer.Option(min=1, help="Repetitions with records that are a last bit away.")
     ] = 2,
@@ -443,7 +452,7 @@ def accept(
             print(line)
         return
     check_finished(configs, out)
-    plans = _plans(map(Path, configs), assignments, trials, seed, plugin, trial_timeout)
+    plans = _plans(map(Path, configs), assignments, trials, seed, plugin, trial_timeout, formats)
     with logging_to(log), bench(plans, out, store, wait, jobs, plugin or (), quiet) as place:
         place.accept(results, perturbations)
 

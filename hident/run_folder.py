@@ -13,7 +13,7 @@ from pathlib import Path, PurePath
 from typing import Any, Literal
 
 from hident.engine.fingerprint import libraries
-from hident.engine.run_files import CRASHES, RUN
+from hident.engine.run_files import CRASHES, DEFAULT_FORMAT, FORMATS, RUN, TEX, Format, figure_formats
 from hident.engine.trial import digest
 from hident.errors import StoreError
 
@@ -52,6 +52,15 @@ class RunFolder:
             case {"undrawn": [*names]}:
                 return tuple(map(str, names))
         return ()
+
+    def formats(self) -> tuple[Format, ...]:
+        """The formats of its figures, and tex if its tables are there for LaTeX."""
+        match self.run():
+            case {"formats": [*names]}:
+                asked = tuple(name for name in FORMATS if name in names)
+            case _:
+                asked = (DEFAULT_FORMAT,)
+        return (*figure_formats(asked), *(name for name in asked if name == TEX))
 
     def timed_out(self) -> int:
         """How many trials count as failed because the clock ended them."""

@@ -27,7 +27,7 @@ def all_configs() -> list[Path]:
 def load_plans(
     configs: Iterable[Path | Document],
     assignments: Sequence[str] | None = None,
-    options: Mapping[str, int | None] = MappingProxyType({}),
+    options: Mapping[str, int | str | None] = MappingProxyType({}),
     plugin_files: Iterable[Path] = (),
     left_out: Callable[[str], None] | None = None,
 ) -> list[Plan]:

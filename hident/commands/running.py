@@ -94,7 +94,7 @@ class Bench:
             if outputs.state() == "old":
                 raise ConfigError(
                     f"{outputs.folder} is not what {plan.path} gives now: hident run {plan.name}, or repeat "
-                    "here the --set, --trials and --seed of that run"
+                    "here the --set, --trials, --seed and --format of that run"
                 )
         for plan in self.plans:
             measure = partial(self._sensitivity, plan, perturbations)

@@ -6,7 +6,7 @@ may stand in the place of a text; what these give is only seen when the file is 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from hident.config.spec import FAMILY_KEY, PLURALS, Spec, components
@@ -56,7 +56,9 @@ def json_schema(model: type[Spec], varied: Iterable[str] = ()) -> dict[str, Any]
     for family in PLURALS.values():
         options: list[dict[str, Any]] = []
         for kind, cls in components(family).items():
-            schema = _entry(schema_of(cls, lists=family in ("table", "figure")), lists=False)
+            report = family in ("table", "figure")
+            every = ("of", "estimators") if report else ("of",)
+            schema = _entry(schema_of(cls, lists=report), lists=False, every=every)
             schema["properties"] = {"kind": {"const": kind}, **schema["properties"]}
             bare = not schema.get("required")
             schema["required"] = ["kind", *schema.get("required", [])]
@@ -79,14 +81,17 @@ def _or_variable(schema: dict[str, Any]) -> dict[str, Any]:
     return _or(schema, {"$ref": f"#/$defs/{_VARIABLE}"})
 
 
-def _entry(schema: dict[str, Any], *, lists: bool) -> dict[str, Any]:
-    """The schema of a spec that may stand for several, ``lists``: by lists in the place of texts too."""
+def _entry(schema: dict[str, Any], *, lists: bool, every: Sequence[str] = ("of",)) -> dict[str, Any]:
+    """The schema of a spec that may stand for several, ``lists``: by lists in the place of texts too.
+
+    The fields ``every`` may be ``all``.
+    """
     if "properties" not in schema:
         return schema
     properties = {name: _or_variable(inner) for name, inner in schema["properties"].items()}
     for name, inner in properties.items():
         kinds = {one.get("type") for one in _options(inner)}
-        if name == "of" and "array" in kinds:
+        if name in every and "array" in kinds:
             properties[name] = _or(inner, {"const": "all"})
         elif lists and "string" in kinds and not kinds & {"array", "number"}:
             properties[name] = _or(inner, {"type": "array"})

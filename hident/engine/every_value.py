@@ -1,4 +1,7 @@
-"""``of: all``: every value that a metric can score, or that the metric of a table or a figure scores."""
+"""``of: all``: every value that a metric can score, or that the metric of a table or a figure scores.
+
+``estimators: all`` of a table or a figure are those that its metric scores.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,12 @@ def with_every_value(document: Document, first: Document, complaints: list[Compl
     for section in ("metrics", "tables", "figures"):
         entries = document.data.get(section)
         for name, entry in entries.items() if isinstance(entries, Mapping) else ():
-            if not isinstance(entry, Mapping) or entry.get("of") != ALL:
+            if not isinstance(entry, Mapping):
+                continue
+            if section != "metrics" and entry.get("estimators") == ALL:
+                at = (section, name, "estimators")
+                document = document.patched(".".join(at), _scoring(document, entry), document.place(at))
+            if entry.get("of") != ALL:
                 continue
             at = (section, name, "of")
             found = list(_scored(first, entry) if section == "metrics" else _shown(document, entry))
@@ -40,16 +48,36 @@ def with_every_value(document: Document, first: Document, complaints: list[Compl
                 complaints += document.complaints_of([Problem(at, message, ALL)])
             else:
                 message = "'metric' must be the name of a metric whose values have names"
+                if "table" in entry:
+                    message = "'table' must be the name of a table that holds named values"
                 complaints += document.complaints_of([Problem(at, message, ALL)])
     return document
 
 
 def _shown(document: Document, entry: Mapping[str, Any]) -> list[str]:
-    """The values of the metric of a table or a figure."""
+    """The values of the metric of a table or a figure, or of the table that a figure draws."""
+    tables, table = document.data.get("tables"), entry.get("table")
+    if isinstance(tables, Mapping) and isinstance(table, str) and isinstance(tables.get(table), Mapping):
+        return _listed(tables[table].get("of"))
     metrics, name = document.data.get("metrics"), entry.get("metric")
     metric = metrics.get(name) if isinstance(metrics, Mapping) and isinstance(name, str) else None
-    of = metric.get("of") if isinstance(metric, Mapping) else None
-    return of if isinstance(of, list) else []
+    return _listed(metric.get("of")) if isinstance(metric, Mapping) else []
+
+
+def _scoring(document: Document, entry: Mapping[str, Any]) -> list[str]:
+    """The estimators that the metric of a table or a figure scores: all, if it does not name them."""
+    metrics, estimators = document.data.get("metrics"), document.data.get("estimators")
+    label = entry.get("metric")
+    for name, metric in metrics.items() if isinstance(metrics, Mapping) else ():
+        # A label is the name of its metric, or that and the name of a value.
+        named = isinstance(label, str) and f"{label} ".startswith(f"{name} ")
+        if named and isinstance(metric, Mapping) and (written := _listed(metric.get("estimators"))):
+            return written
+    return list(estimators) if isinstance(estimators, Mapping) else []
+
+
+def _listed(written: Any) -> list[str]:
+    return written if isinstance(written, list) else []
 
 
 def _scored(first: Document, metric: Mapping[str, Any]) -> list[str]:

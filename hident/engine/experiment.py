@@ -45,7 +45,7 @@ from hident.engine.cases import (
 )
 from hident.engine.every_value import with_every_value
 from hident.engine.expansion import Expansion, Unit
-from hident.engine.run_files import POWER, misnamed
+from hident.engine.run_files import DEFAULT_FORMAT, FORMATS, POWER, Format, misnamed
 from hident.engine.sequential import Sequential, Statistic, Trials, Until
 from hident.engine.written import NEEDED, Written
 from hident.errors import ConfigError, RecordAbsent
@@ -55,6 +55,8 @@ from hident.metrics.base import MetricSpec
 __all__ = ["Experiment", "Label", "Plan", "Published", "PublishedCells", "Statistic", "Unit", "load"]
 
 FORMAT = 1
+# Options of the command line by the keys that they override, where their names differ.
+_OPTIONS = {"formats": "format"}
 
 
 # Whether it scores the estimator at the labels is checked with the printed numbers.
@@ -115,6 +117,16 @@ def _as_changes(value: Any) -> Any:
     return value
 
 
+def _as_list(value: Any) -> Any:
+    """The formats that a text names, such as 'pdf,svg'."""
+    return [name.strip() for name in value.split(",")] if isinstance(value, str) else value
+
+
+def _in_order(value: tuple[Format, ...]) -> tuple[Format, ...]:
+    """Each once, and in one order, as their order changes no file."""
+    return tuple(name for name in FORMATS if name in value)
+
+
 def _in_one_line(value: dict[str, Any]) -> dict[str, Any]:
     for name in value:
         if not name.strip() or not name.isprintable():
@@ -165,7 +177,11 @@ class Experiment(Written, Cases):
     tables: dict[str, Annotated[Component, Of("table")]] = {}
     """Tables of table.md."""
     figures: dict[str, Annotated[Component, Of("figure")]] = {}
-    """Figures, each written as NAME.png."""
+    """Figures, each written as NAME.png, or in other 'formats'."""
+    formats: Annotated[
+        tuple[Format, ...], BeforeValidator(_as_list), AfterValidator(_in_order), Field(min_length=1)
+    ] = (DEFAULT_FORMAT,)
+    """Formats of the files: png, pdf and svg of figures (png if none of these is named), tex of tables."""
     published: Published | None = None
     """The printed numbers that the results stand beside."""
     alternatives: Annotated[
@@ -294,6 +310,14 @@ class Plan:
         """For each unit, the keys of its stored trials by the names of its metrics (:meth:`Unit.keys`)."""
         return tuple(unit.keys(self.seed, self.perturbation) for unit in self.units)
 
+    def at(self, labels: Mapping[str, Label]) -> Plan:
+        """The plan of the cases at these labels: their axes are no axes of it, and no unit stands elsewhere.
+
+        Its units are the same objects, with all their labels.
+        """
+        axes = tuple(axis for axis in self.axes if axis.name not in labels)
+        return replace(self, axes=axes, units=tuple(unit for unit in self.units if unit.is_at(labels)))
+
     @cached_property
     def timing_keys(self) -> tuple[str, ...]:
         """For each unit, the key of the seconds that its fits took (:meth:`Unit.timing_key`)."""
@@ -375,7 +399,7 @@ class Plan:
 def load(
     source: Path | Document,
     assignments: Sequence[str] = (),
-    options: Mapping[str, int | None] = MappingProxyType({}),
+    options: Mapping[str, int | str | None] = MappingProxyType({}),
 ) -> Plan:
     """Read a configuration, apply ``--set`` assignments and options such as trials, expand its cases.
 
@@ -386,7 +410,7 @@ def load(
     path, document = Path(document.name), override(document, assignments)
     for key, value in options.items():
         if value is not None:
-            document = document.patched(key, value, Place(0, f"--{key} {value}"))
+            document = document.patched(key, value, Place(0, f"--{_OPTIONS.get(key, key)} {value}"))
     if (version := document.data.get("version", FORMAT)) != FORMAT:
         # The rest may mean something else there.
         raise document.error(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -168,6 +168,18 @@ class Results:
             named = estimator in (None, series.unit.name) and metric in (None, series.metric)
             if named and series.unit.is_at(labels):
                 yield series
+
+    def at(self, labels: Mapping[str, Label]) -> Results:
+        """The results of the cases at these labels (:meth:`Plan.at`); their series are the same objects."""
+        if not labels:
+            return self
+        series = tuple(one for one in self.series if one.unit.is_at(labels))
+        return replace(self, plan=self.plan.at(labels), series=series)
+
+    def varied(self, series: Series) -> dict[str, Label]:
+        """The labels of a series on the axes of the plan: on those that are not held."""
+        axes = {axis.name for axis in self.plan.axes}
+        return {axis: label for axis, label in series.unit.labels.items() if axis in axes}
 
     def labels(self, axis: str) -> tuple[Label, ...]:
         """The labels of an axis in their written order."""

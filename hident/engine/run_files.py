@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Literal, get_args
 
+Format = Literal["png", "pdf", "svg", "tex"]
+FORMATS: tuple[Format, ...] = get_args(Format)
+"""The formats of figures, and that of tables for LaTeX."""
+TEX: Format = "tex"
+DEFAULT_FORMAT: Format = "png"
 RUN = "run.json"
 """What the run was: the configuration, the seed, where the files come from."""
 TABLE = "table.csv"
 """All statistics."""
 PAGE = "table.md"
 """The tables as the paper prints them."""
+PAGE_TEX = "table.tex"
+"""The tables for LaTeX, where they are asked for."""
 VERDICTS = "verdicts.csv"
 """The verdicts on the printed numbers."""
 TRIALS = "trials.csv.xz"
@@ -40,9 +48,25 @@ def table_file(name: str) -> str:
     return f"{name}.csv"
 
 
-def figure_file(name: str) -> str:
-    """The file of a figure."""
-    return f"{name}.png"
+def tex_file(name: str) -> str:
+    """The file of a table for LaTeX, where that is asked for."""
+    return f"{name}.{TEX}"
+
+
+def figure_file(name: str, kind: Format = DEFAULT_FORMAT) -> str:
+    """The file of a figure in a format."""
+    return f"{name}.{kind}"
+
+
+def figure_formats(formats: Sequence[Format]) -> tuple[Format, ...]:
+    """The formats of figures among those of an experiment; the default where only tables have one."""
+    return tuple(kind for kind in formats if kind != TEX) or (DEFAULT_FORMAT,)
+
+
+def in_format(file: str) -> Format | None:
+    """The format of a file that a run writes in the formats that it is asked for; None of another."""
+    suffix = file.rpartition(".")[2]
+    return next((kind for kind in FORMATS if kind == suffix), None)
 
 
 def misnamed(tables: Iterable[str], figures: Iterable[str]) -> Iterator[tuple[str, str, str]]:

@@ -7,8 +7,9 @@ stored with the reference makes likely (:mod:`hident.ledger.sensitivity`), and a
 relative tolerance.
 
 The cells of table.csv must be the statistics of the trials beside them. The other files are compared by their
-contents (:mod:`hident.ledger.contents`); where some trials took another branch and may, what these files
-differ in is listed and not counted. Every file must be what was written, by the hashes in its run.json.
+contents (:mod:`hident.ledger.contents`), but those in a format that one side was not asked for; where some
+trials took another branch and may, what these files differ in is listed and not counted. Every file must be
+what was written, by the hashes in its run.json.
 Hidden files, ``*.tmp``, timing.csv, what `hident show` wrote of a trial, and the provenance in ``run.json``
 do not count.
 """
@@ -21,7 +22,18 @@ from pathlib import Path
 
 from hident.config.suggest import one_of
 from hident.engine.results import STATISTICS
-from hident.engine.run_files import BENCHMARKS, POWER, RUN, SENSITIVITY, SHOWN, TABLE, TIMING, TRIALS
+from hident.engine.run_files import (
+    BENCHMARKS,
+    POWER,
+    RUN,
+    SENSITIVITY,
+    SHOWN,
+    TABLE,
+    TEX,
+    TIMING,
+    TRIALS,
+    in_format,
+)
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.ledger.contents import Row, content_differences, decode_table
 from hident.ledger.sensitivity import Sensitivity
@@ -47,7 +59,8 @@ class Comparison:
     ``differences`` has one readable text each, ``allowed`` what differs and may: units some trials of which
     took another branch, and the files that follow. ``compared`` is the number of result folders that both
     sides have, ``absent`` names the configurations that only the reference has; those among them whose
-    optional records are not here stand in ``left_out`` instead, in words.
+    optional records are not here stand in ``left_out`` instead, in words, and so do figures that the sides
+    have in different formats only.
     """
 
     differences: tuple[str, ...]
@@ -116,6 +129,7 @@ def _compare(
     for name in sorted(names):
         if name in pairs:
             found += pairs[name].judged(CHANCE / max(units, 1))
+            left_out += pairs[name].left_out()
         elif not _files(reference / name):
             found.append((f"{name}: not accepted yet; hident accept {name}", True))
         elif lacking := _lacking(reference / name):
@@ -193,6 +207,7 @@ class _Pair:
     def __init__(self, ours: Path, reference: Path, rtol: float, partial: bool) -> None:
         self._ours, self._reference, self._rtol, self._partial = ours, reference, rtol, partial
         self.trials = self._compared_trials()
+        self._names, self._apart = self._in_formats_of_both()
 
     def judged(self, chance: float) -> Iterator[_Said]:
         """What the configuration differs in; ``chance`` is that of more moved trials than likely."""
@@ -211,7 +226,7 @@ class _Pair:
 
     def _judged(self, chance: float) -> Iterator[_Said]:
         yield from ((f"/{line}", True) for line in self._altered())
-        names = (_files(self._ours) | _files(self._reference)) - {SENSITIVITY}
+        names = self._names
         if (trials := self.trials) is None:
             yield from self._files_differ(names)
             return
@@ -235,6 +250,29 @@ class _Pair:
             yield f": {follow}: as these trials give", not all(unit.allowed for unit in moved)
             others = []
         yield from (*run, *others)
+
+    def left_out(self) -> list[str]:
+        """What is not compared, in words."""
+        title, figures = self._reference.resolve().name, one_of(self._apart)
+        return [f"{title}: {figures}, in no format that both sides have"] if figures else []
+
+    def _in_formats_of_both(self) -> tuple[set[str], list[str]]:
+        """The files to compare, and the figures that the sides have in different formats only.
+
+        What one side was not asked for is no difference.
+        """
+        sides = [(_files(folder), RunFolder(folder)) for folder in (self._ours, self._reference)]
+        (mine, _), (theirs, _) = sides
+        of_one = {
+            name
+            for (files, folder), (others, other) in (sides, sides[::-1])
+            for name in files - others
+            if name in folder.files() and in_format(name) not in (None, *other.formats())
+        }
+        names = (mine | theirs) - of_one - {SENSITIVITY}
+        drawn = {name.rpartition(".")[0] for name in names if in_format(name) not in (None, TEX)}
+        figures = {name.rpartition(".")[0] for name in of_one if in_format(name) != TEX}
+        return names, sorted(figures - drawn)
 
     def _compared_trials(self) -> TrialComparison | None:
         try:

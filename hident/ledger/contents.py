@@ -21,6 +21,8 @@ from typing import Any
 import numpy as np
 
 from hident.arrays import Array
+from hident.engine.run_files import in_format
+from hident.ledger.drawings import Drawing, decode_pdf, decode_svg, drawings_differ
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _WHOLE = re.compile(r"[+-]?\d+", re.ASCII)
@@ -169,10 +171,16 @@ def _by_label(rows: Sequence[Row], key: Sequence[str]) -> dict[tuple[object, ...
 
 
 def _decode_json(data: bytes) -> dict[str, str]:
-    """All leaves by their paths, those of the provenance left out."""
+    """All leaves by their paths, but the provenance, and of a run the files in formats that it was asked for.
+
+    Those are there, or they are missing.
+    """
     value = json.loads(data)
     if isinstance(value, dict):
         value.pop("provenance", None)
+        value.pop("formats", None)
+        if isinstance(files := value.get("files"), list):
+            value["files"] = [name for name in files if not (isinstance(name, str) and in_format(name))]
     return dict(_leaves(value, ""))
 
 
@@ -232,6 +240,10 @@ def _pictures(ours: Array, reference: Array, rtol: float) -> Iterator[str]:
         )
 
 
+def _drawings(ours: Drawing, reference: Drawing, rtol: float) -> Iterator[str]:
+    yield from drawings_differ(ours, reference, _PIXEL_TOLERANCE)
+
+
 def _bytes(ours: bytes, reference: bytes, rtol: float) -> Iterator[str]:
     yield f"other bytes: {len(ours)}, reference {len(reference)}"
 
@@ -241,6 +253,9 @@ _KINDS: dict[str, _Kind] = {
     ".json": (_decode_json, _documents),
     ".md": (_decode_lines, _lines),
     ".txt": (_decode_lines, _lines),
+    ".tex": (_decode_lines, _lines),
     ".png": (_decode_picture, _pictures),
+    ".pdf": (decode_pdf, _drawings),
+    ".svg": (decode_svg, _drawings),
 }
 _OTHER: _Kind = (bytes, _bytes)

@@ -124,8 +124,8 @@ def is_of(run: bytes | None, resolved: Any) -> bool:
 
 def without_reports(resolved: Any) -> str:
     """A hash of all of an experiment that its alternatives and verdicts depend on, as run.json holds it."""
-    kept = {k: v for k, v in canonical(resolved).items() if k not in ("title", "tables", "figures", "trials")}
-    return digest(kept)
+    reports = ("title", "tables", "figures", "formats", "trials")
+    return digest({k: v for k, v in canonical(resolved).items() if k not in reports})
 
 
 def _text(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:

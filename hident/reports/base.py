@@ -2,73 +2,82 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from hident.config.references import Labels, Metric, NumericAxis, Referring, referring
+from hident.config.references import CaseLabels, Labels, Metric, NumericAxis, Referring, referring
 from hident.config.spec import Component
 from hident.config.yaml12 import Location
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
+from hident.reports.canvas import Canvas, Size, drawn_on
+from hident.reports.facets import Facets, Grid, joined
+from hident.reports.style import LINES, draw_legend, write_below
+from hident.reports.table import Table
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
     from hident.engine.experiment import Plan
+
+__all__ = [
+    "FigureSpec",
+    "Misfit",
+    "ReportSpec",
+    "Table",
+    "TableSpec",
+    "first_case",
+    "misfits",
+    "not_numeric",
+    "unscored",
+]
 
 Misfit = tuple[Location, str]
 """The path to an entry of a spec, such as ("columns", 0, "estimator"), and why it does not do."""
 
 
-@dataclass(frozen=True)
-class Table:
-    """A table as text; ``data`` is written as a CSV of its own where table.csv does not hold it."""
-
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...] = ()
-    data: pd.DataFrame | None = None
-
-    def markdown(self) -> str:
-        """The table in Markdown, its columns aligned."""
-        rows = [tuple(cell.replace("|", "\\|") for cell in row) for row in (self.header, *self.rows)]
-        widths = [max(len(row[i]) for row in rows) for i in range(len(self.header))]
-        left = [all(not _is_number(row[i]) for row in self.rows) for i in range(len(widths))]
-
-        def line(row: Sequence[str]) -> str:
-            cells = [
-                cell.ljust(width) if to_left else cell.rjust(width)
-                for cell, width, to_left in zip(row, widths, left, strict=True)
-            ]
-            return f"| {' | '.join(cells)} |"
-
-        rule = [
-            "-" * width if to_left else "-" * (width - 1) + ":"
-            for width, to_left in zip(widths, left, strict=True)
-        ]
-        body = [line(rows[0]), line(rule), *map(line, rows[1:])]
-        return "\n".join([f"## {self.title}", "", *body, *(f"\n{note}" for note in self.notes)])
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text.split(" ", maxsplit=1)[0])
-    except ValueError:
-        return text in ("", "-")
-    return True
-
-
 def misfits(plan: Plan, spec: ReportSpec) -> list[Misfit]:
     """What a report cannot show of this plan, though it knows every name."""
     values = list(referring(spec))
-    return list(_left_out(plan, values)) or [
-        *_mismatched(plan, values),
-        *_not_numeric(plan, values),
-        *spec.misfits(plan),
-    ]
+    if found := list(_held_twice(values, spec)):
+        return found
+    held = plan.at(spec.held())
+    there = [(facet, held.at(facet.labels)) for facet in Grid(spec.facets, held)]
+    if not any(part.units for _, part in there):
+        return [(("at" if spec.held() else "facets",), "no case stands at these labels")]
+    for facet, part in there:
+        found = list(_misfits(part, spec, values)) if part.units else []
+        if found:
+            at = ", ".join(f"{axis} {label}" for axis, label in facet.labels.items())
+            return [(place, f"{message} (at {at})" if at else message) for place, message in found]
+    return []
+
+
+def _misfits(plan: Plan, spec: ReportSpec, values: Sequence[Referring]) -> Iterator[Misfit]:
+    if left_out := list(_left_out(plan, values)):
+        yield from left_out
+        return
+    yield from _mismatched(plan, values)
+    yield from _not_numeric(plan, values)
+    yield from spec.misfits(plan)
+    if isinstance(spec, FigureSpec) and (count := spec.looks_needed(plan)) > len(LINES):
+        yield (
+            (),
+            f"{count} curves are to share {len(LINES)} looks: repeat the figure over an axis with 'facets', "
+            "hold labels with 'at', or name fewer estimators",
+        )
+
+
+def _held_twice(values: Sequence[Referring], spec: ReportSpec) -> Iterator[Misfit]:
+    """The axes that are held, or repeated over, and shown as well."""
+    facets = {axis for axis in (spec.facets.rows, spec.facets.columns) if axis} if spec.facets else set()
+    for axis in facets & ({*spec.at} if isinstance(spec.at, Mapping) else set()):
+        yield ("facets",), f"the label of the axis '{axis}' is held by 'at'"
+    for value in values:
+        own = value.place[:1] == ("facets",) or not isinstance(value.value, str)
+        if not own and value.reference.what == "axis" and value.value in facets | {*spec.held()}:
+            how = "repeated over" if value.value in facets else "held at one label"
+            yield value.place, f"the axis '{value.value}' is {how}, and cannot be shown as well"
 
 
 def _left_out(plan: Plan, values: Sequence[Referring]) -> Iterator[Misfit]:
@@ -109,6 +118,15 @@ def _not_numeric(plan: Plan, values: Sequence[Referring]) -> Iterator[Misfit]:
                 yield value.place, message
 
 
+def first_case(plan: Plan, estimators: Sequence[str]) -> str:
+    """Which case is shown of those estimators that stand in several; empty if none does."""
+    units = [unit for unit in plan.units if unit.name in estimators]
+    several = [a.name for a in plan.axes if len({unit.labels.get(a.name) for unit in units} - {None}) > 1]
+    shown = next((unit.labels for unit in units if not {*several} - unit.labels.keys()), {})
+    at = ", ".join(f"{axis} {shown[axis]}" for axis in several if axis in shown)
+    return f"of several cases the first: {at}" if at else ""
+
+
 def unscored(plan: Plan, place: Location, estimator: str, metric: str) -> Iterator[Misfit]:
     """A misfit if no unit of the estimator is scored by the metric."""
     if not any(unit.name == estimator and metric in unit.metric_labels for unit in plan.units):
@@ -117,7 +135,10 @@ def unscored(plan: Plan, place: Location, estimator: str, metric: str) -> Iterat
 
 def not_numeric(plan: Plan, axis: str, *, positive: bool, least: int = 1) -> Iterator[str]:
     """Why the labels of an axis do not do, if they are not numbers, or not positive, or too few."""
-    labels = next((a.labels for a in plan.axes if a.name == axis), ())
+    labels = next((a.labels for a in plan.axes if a.name == axis), None)
+    if labels is None:
+        yield f"the axis '{axis}' is held at one label, and cannot be shown as well"
+        return
     try:
         numbers = [float(label) for label in labels]
     except ValueError:
@@ -132,9 +153,27 @@ def not_numeric(plan: Plan, axis: str, *, positive: bool, least: int = 1) -> Ite
 class ReportSpec(Component):
     """Base of all tables and figures."""
 
+    at_is_own: ClassVar[bool] = False
+    """Whether the class itself does what its field ``at`` says."""
+
+    at: CaseLabels = {}
+    """Labels of axes that are held: other cases are left out."""
+    facets: Facets | None = None
+    """Axes over whose labels it is repeated, in rows and columns: {rows: AXIS, columns: AXIS}."""
+
+    def held(self) -> Mapping[str, Any]:
+        """The labels at which the results are that it is made of."""
+        return {} if self.at_is_own or not isinstance(self.at, Mapping) else self.at
+
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         """What cannot be shown of this plan beyond what the types of its fields say."""
         yield from ()
+
+
+def _beside(results: Results, verdicts: Sequence[Verdict]) -> list[Verdict]:
+    """The verdicts on some of all results."""
+    there = {id(series) for series in results.series}
+    return [verdict for verdict in verdicts if id(verdict.series) in there]
 
 
 class TableSpec(ReportSpec):
@@ -147,10 +186,67 @@ class TableSpec(ReportSpec):
         """The table of the results, with the printed numbers beside them where there are any."""
         raise NotImplementedError
 
+    def built(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
+        """The table at the labels that are held, and over the axes that it is repeated over."""
+        results = results.at(self.held())
+        if self.facets is None:
+            return self.build(results, _beside(results, verdicts) if self.held() else verdicts)
+        grid = Grid(self.facets, results.plan)
+        parts = {(facet.row, facet.column): results.at(facet.labels) for facet in grid}
+        return joined(
+            grid,
+            {at: self.build(part, _beside(part, verdicts)) for at, part in parts.items() if part.series},
+        )
+
 
 class FigureSpec(ReportSpec):
     """Base of all figures."""
 
+    size: Size | None = None
+    """Its width in print: that of a column (88 mm) or of a page (180 mm); as its panels ask by default."""
+
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         """The figure; :mod:`hident.reports.style` sets its look."""
         raise NotImplementedError
+
+    def drawn(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
+        """The figure at the labels that are held, of its size, and over the axes that it is repeated over."""
+        results = results.at(self.held())
+        if self.facets is None and self.size is None:
+            figure = self.draw(results, _beside(results, verdicts) if self.held() else verdicts)
+        else:
+            figure = self._composed(results, verdicts)
+        panels = (results.at(facet.labels) for facet in Grid(self.facets, results.plan))
+        if said := self.says(next(panel for panel in panels if panel.series)):
+            write_below(figure, said)
+        return figure
+
+    def _composed(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
+        grid = Grid(self.facets, results.plan)
+        with drawn_on(Canvas(self.size, len(grid.rows), len(grid.columns))) as canvas:
+            for facet in grid:
+                canvas.at = (facet.row, facet.column)
+                part = results.at(facet.labels)
+                if not part.series:
+                    canvas.empty()
+                    continue
+                figure = self.draw(part, _beside(part, verdicts))
+                if canvas.figure is None and canvas.shared:
+                    raise ValueError(f"'{self.kind}' makes a figure of its own, which cannot be repeated")
+            canvas.finish(grid.titles(grid.columns), grid.titles(grid.rows))
+            if canvas.figure is None:
+                width, height = figure.get_size_inches()
+                scale = (canvas.width or width) / width
+                figure.set_size_inches(scale * width, scale * height)
+                return figure
+            if canvas.shared:
+                draw_legend(canvas.figure)
+            return canvas.figure
+
+    def says(self, results: Results) -> str:
+        """What stands below the figure, of the results of a panel: what its axes do not say."""
+        return ""
+
+    def looks_needed(self, plan: Plan) -> int:
+        """How many curves must be told apart by their looks."""
+        return 0

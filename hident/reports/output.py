@@ -8,7 +8,7 @@ import platform
 import subprocess
 import sys
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cached_property
 from importlib.metadata import version
@@ -24,7 +24,20 @@ from hident.config.suggest import one_of
 from hident.engine.experiment import Plan
 from hident.engine.fingerprint import code
 from hident.engine.results import Results
-from hident.engine.run_files import PAGE, TABLE, TIMING, TRIALS, VERDICTS, figure_file, table_file
+from hident.engine.run_files import (
+    DEFAULT_FORMAT,
+    PAGE,
+    PAGE_TEX,
+    TABLE,
+    TEX,
+    TIMING,
+    TRIALS,
+    VERDICTS,
+    figure_file,
+    figure_formats,
+    table_file,
+    tex_file,
+)
 from hident.engine.trial import digest
 from hident.errors import TrialFailed
 from hident.ledger.power import FEWEST, VerdictPower, power_of, without_reports
@@ -32,9 +45,10 @@ from hident.ledger.published import PUBLISHED, REASONS
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import LEVEL, RUNS, Verdict, Word, fitting_runs, frame, judge
 from hident.new_files import replacing
+from hident.reports import latex
 from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, misfits
 from hident.reports.scoring import scoring
-from hident.reports.style import style, typeset
+from hident.reports.style import printed, style, typeset
 from hident.reports.tables.writing import failures, written
 from hident.run_folder import RunFolder, State, phase
 
@@ -92,18 +106,21 @@ class Outputs:
         """
         # With a rule, that of the results knows how many trials were needed.
         plan, seconds = results.plan, dict(seconds)
+        formats = plan.experiment.formats
         with RunFolder(self.folder).renewed() as new:
             with phase(seconds, "tables"):
                 verdicts = judge(results)
                 files = _write_tables(results, verdicts, new)
             with phase(seconds, "figures"):
                 undrawn = _write_figures(results, verdicts, new.path)
-            files += [figure_file(name) for name in plan.experiment.figures if name not in undrawn]
+            drawn = [name for name in plan.experiment.figures if name not in undrawn]
+            files += self._figure_files(drawn)
             new.seal(
                 {
                     "experiment": {**_described(plan), **_stopped(results)},
                     "files": sorted(files),
-                    **({"undrawn": sorted(map(figure_file, undrawn))} if undrawn else {}),
+                    **({"formats": [*formats]} if formats != (DEFAULT_FORMAT,) else {}),
+                    **({"undrawn": sorted(self._figure_files(undrawn))} if undrawn else {}),
                     **({"timed_out": _timed_out(results)} if results.timed_out else {}),
                     "provenance": {**_provenance(plan), **run, "seconds": seconds, "key": self.key},
                 }
@@ -118,6 +135,10 @@ class Outputs:
             for name, error in undrawn.items()
             for said in str(error).strip().splitlines()[-1:] or [type(error).__name__]
         )
+
+    def _figure_files(self, names: Iterable[str]) -> list[str]:
+        kinds = figure_formats(self.plan.experiment.formats)
+        return [figure_file(name, kind) for name in names for kind in kinds]
 
 
 def write_power(plan: Plan, power: VerdictPower, trials: int, folder: Path, run: Mapping[str, Any]) -> None:
@@ -277,7 +298,7 @@ def _runs(verdicts: Sequence[Verdict], results: Results) -> list[str]:
 
 def _write_tables(results: Results, verdicts: Sequence[Verdict], folder: RunFolder) -> list[str]:
     tables = {
-        name: spec.build(results, verdicts)
+        name: spec.built(results, verdicts)
         for name, spec in results.plan.experiment.tables.items()
         if isinstance(spec, TableSpec)
     }
@@ -288,37 +309,55 @@ def _write_tables(results: Results, verdicts: Sequence[Verdict], folder: RunFold
     if verdicts:
         texts[VERDICTS] = frame(verdicts).to_csv(index=False, lineterminator="\n")
     texts[PAGE] = markdown(results, verdicts, tables)
+    if TEX in results.plan.experiment.formats:
+        texts |= _tex(results, tables)
     for name, text in texts.items():
         folder.write_text(name, text)
     TrialValues.of(results).write(folder.path / TRIALS)
     return [*texts, TRIALS]
 
 
+def _tex(results: Results, tables: Mapping[str, Table]) -> dict[str, str]:
+    """Each table for LaTeX, and all of them in one file."""
+    plan = results.plan
+    said = [*_records(plan), *scoring(plan)]
+    found = {
+        name: latex.table(name, table, latex.caption(table, plan.trials, plan.seed), said)
+        for name, table in (tables or {"results": _plain_table(results)}).items()
+    }
+    texts = {PAGE_TEX: "\n".join([latex.PREAMBLE, *found.values()])}
+    return texts | {tex_file(name): latex.PREAMBLE + found[name] for name in tables}
+
+
 def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) -> dict[str, Exception]:
     """Write what can be drawn; why the others cannot, by their names."""
     undrawn: dict[str, Exception] = {}
+    kinds = figure_formats(results.plan.experiment.formats)
     for name, spec in results.plan.experiment.figures.items():
         assert isinstance(spec, FigureSpec)
         # Of values without a logarithm matplotlib says that there is nothing to draw, which the figure shows.
         with style(), warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             try:
-                figure = spec.draw(results, verdicts)
+                figure = spec.drawn(results, verdicts)
                 typeset(figure)
-                # Without the writer's version in it, the file depends on what it shows alone.
-                figure.savefig(folder / figure_file(name), metadata={"Software": None})
+                for kind, content in printed(figure, kinds).items():
+                    (folder / figure_file(name, kind)).write_bytes(content)
             except OSError:
                 raise
             except Exception as error:
                 undrawn[name] = error
                 # What was begun of it.
-                (folder / figure_file(name)).unlink(missing_ok=True)
+                for kind in kinds:
+                    (folder / figure_file(name, kind)).unlink(missing_ok=True)
     return undrawn
 
 
 def _described(plan: Plan) -> dict[str, Any]:
     """The experiment in run.json."""
     resolved, records = canonical(plan.experiment), _records(plan)
+    # In which files it is shown is no matter of what was run.
+    resolved.pop("formats", None)
     optional = [*dict.fromkeys(name for unit in plan.units for name in unit.data.optional_files)]
     return {
         "config": plan.name,

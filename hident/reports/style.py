@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
+
+from hident.engine.run_files import Format
+from hident.reports import canvas
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,18 +27,28 @@ LINES: tuple[Look, ...] = (
     {"color": "#2e7d5b", "linestyle": "-.", "marker": "^"},
     {"color": "#8e6bb0", "linestyle": (0, (1, 1)), "marker": "D"},
     {"color": "#a67c00", "linestyle": (0, (5, 1, 1, 1, 1, 1)), "marker": "v"},
+    {"color": "#c77d9b", "linestyle": (0, (8, 2)), "marker": "P"},
 )
+"""As many curves as a figure can tell apart: more are refused, with a word on facets."""
 TRUTH: Look = {"color": "black", "linewidth": 1.4, "zorder": 4}
 TRUE_LEVEL: Look = {"color": "black", "linewidth": 1.0, "zorder": 1}
 """A line across a panel at a true number: behind the estimates, and over the grid."""
 ESTIMATE: Look = {"color": "#c1440e", "linewidth": 1.1, "zorder": 5}
 DATA: Look = {"color": "0.62", "marker": ".", "linestyle": "none", "markersize": 3, "zorder": 1}
 
+_PRINT_DPI = 300
+_METADATA: dict[str, tuple[str, ...]] = {
+    "png": ("Software",),
+    "pdf": ("Creator", "Producer", "CreationDate"),
+    "svg": ("Creator", "Date"),
+}
 _MARKS = 9
 _POWER = re.compile(r"\b([A-Za-z])\^(-?\d+)")
 # Inches that a letter of a legend takes, and a handle with the space around it.
 _LETTER = 0.064
 _HANDLE = 0.55
+# Of the letters of print.
+_SMALLER = 0.88
 _SETTINGS: dict[str, Any] = {
     "font.size": 9,
     "axes.labelsize": 9,
@@ -52,6 +66,10 @@ _SETTINGS: dict[str, Any] = {
     "figure.constrained_layout.use": True,
     "figure.dpi": 160,
     "savefig.dpi": 160,
+    # Letters as they are in a PDF, which a journal may edit; as outlines in an SVG, which names fonts only.
+    "pdf.fonttype": 42,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "hident",
 }
 
 
@@ -74,13 +92,12 @@ def style() -> Iterator[None]:
 def subplots(
     rows: int = 1, columns: int = 1, *, figsize: tuple[float, float], **options: Any
 ) -> tuple[Figure, Any]:
-    """A figure of a size in inches and its axes, as pyplot's function has them but without its backends."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    """A figure of a size in inches and its axes, as pyplot's function has them but without its backends.
 
-    figure = Figure(figsize=figsize)
-    FigureCanvasAgg(figure)
-    return figure, figure.subplots(rows, columns, **options)
+    In print, or as one of several panels, they take what room there is.
+    """
+    figure, axes = canvas.subplots(rows, columns, figsize, options)
+    return figure, axes
 
 
 def symbol(name: str) -> str:
@@ -115,11 +132,17 @@ def band_edge(look: Look) -> Look:
     return {**look, "linewidth": 0.6, "alpha": 0.6, "marker": ""}
 
 
+def beside(columns: int, width: float) -> int:
+    """How many of so many panels of a width in inches stand side by side, if others may stand below."""
+    current = canvas.canvas()
+    return columns if current is None else current.beside(columns, width)
+
+
 def panel_rows(
     count: int, columns: int, size: tuple[float, float], around: tuple[float, float], **options: Any
 ) -> tuple[Figure, Any]:
     """A figure of so many panels of a size in inches, with room around them, and the rows of its axes."""
-    columns = min(columns, count)
+    columns = beside(min(columns, count), size[0])
     rows = -(-count // columns)
     figsize = (size[0] * columns + around[0], size[1] * rows + around[1])
     figure, grid = subplots(rows, columns, squeeze=False, figsize=figsize, **options)
@@ -136,8 +159,13 @@ def panel_grid(count: int, columns: int, width: float, height: float) -> tuple[F
 
 def label_edges(grid: Any, x_label: str, y_label: str) -> None:
     """Label the abscissas of the lowest row of axes, and the ordinates of the first column."""
-    for axes in grid[-1]:
-        axes.set_xlabel(x_label)
+    for column in grid.T:
+        lowest = column[-1]
+        if composed():
+            # Where fewer panels stand beside each other, the last row may be short.
+            lowest = [axes for axes in column if axes.get_visible()][-1]
+            lowest.tick_params(labelbottom=True)
+        lowest.set_xlabel(x_label)
     for axes in grid[:, 0]:
         axes.set_ylabel(y_label)
 
@@ -151,21 +179,73 @@ def few_log_ticks(axis: Axis) -> None:
     axis.set_minor_locator(NullLocator())
 
 
+def composed() -> bool:
+    """Whether the figure is sized for print or one of several panels: then its legend stands above."""
+    return canvas.canvas() is not None
+
+
+def shared_legend(figure: Figure, entries: tuple[Any, Any], columns: int) -> None:
+    """The legend of panels with the same entries, above them, in so many columns at most."""
+    if composed():
+        legend_above(figure)
+    else:
+        columns = min(columns, len(entries[1]))
+        figure.legend(*entries, loc="outside upper center", ncols=columns)
+
+
+def printed(figure: Figure, kinds: Iterable[Format]) -> dict[Format, bytes]:
+    """The figure as png, pdf or svg; the bytes depend on what it shows alone, not on the other formats.
+
+    Neither the writer's version nor the time stands in them.
+    """
+    found: dict[Format, bytes] = {"png": _file(figure, "png")}
+    # Each drawing would move the axes by less than a pixel.
+    figure.set_layout_engine("none")
+    return {kind: found.get(kind) or _file(figure, kind) for kind in kinds}
+
+
+def _file(figure: Figure, kind: str) -> bytes:
+    file = io.BytesIO()
+    # What is made of pixels within a drawing is for print.
+    options: dict[str, Any] = {} if kind == "png" else {"dpi": _PRINT_DPI}
+    figure.savefig(file, format=kind, metadata=dict.fromkeys(_METADATA[kind]), **options)
+    return file.getvalue()
+
+
+def write_below(figure: Figure, text: str) -> None:
+    """A small text in the corner below all panels."""
+    figure.supxlabel(text, x=0.99, ha="right", fontsize=7, color="0.35")
+
+
 def legend_above(figure: Figure) -> None:
-    """One legend above all panels, in which each label stands once, in as few rows as its labels allow."""
+    """One legend above all panels, in which each label stands once, in as few rows as its labels allow.
+
+    Of several panels it is drawn when the last one is.
+    """
+    current = canvas.canvas()
+    if current is None or not current.shared:
+        draw_legend(figure)
+
+
+def draw_legend(figure: Figure) -> None:
+    """The legend above all panels of a figure."""
     entries = (zip(*axes.get_legend_handles_labels(), strict=True) for axes in figure.axes)
     handles = {label: handle for pairs in entries for handle, label in pairs}
     if handles:
-        columns = legend_columns([len(label) for label in handles], figure.get_figwidth())
+        scale = _SMALLER if composed() else 1.0
+        columns = legend_columns([len(label) for label in handles], figure.get_figwidth(), scale)
         figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=columns)
 
 
-def legend_columns(lengths: Sequence[int], width: float) -> int:
-    """How many columns of labels with these numbers of letters, at least one, fit a width in inches."""
+def legend_columns(lengths: Sequence[int], width: float, scale: float = 1.0) -> int:
+    """How many columns of labels with these numbers of letters, at least one, fit a width in inches.
+
+    ``scale`` is that of the letters.
+    """
     count = len(lengths)
     for rows in range(1, count):
         # Matplotlib fills column by column.
         columns = [lengths[i : i + rows] for i in range(0, count, rows)]
-        if _LETTER * sum(map(max, columns)) + _HANDLE * len(columns) <= width:
+        if scale * (_LETTER * sum(map(max, columns)) + _HANDLE * len(columns)) <= width:
             return len(columns)
     return 1

@@ -457,7 +457,7 @@ def test_only_accept_changes_results_and_compare_finds_any_change(done: Lab) -> 
     refused = done.hident("accept", "tiny", code=2).stderr
     assert refused == (
         "error: out/tiny is not what tiny.yaml gives now: hident run tiny, or repeat here the --set, "
-        "--trials and --seed of that run\n"
+        "--trials, --seed and --format of that run\n"
     )
     # The perturbed trials are stored.
     second = done.hident("accept", "tiny", "--trials", "3")

@@ -1,4 +1,4 @@
-"""The examples of docs/configuration.md run, and give what the page says."""
+"""The examples of docs/configuration.md and docs/publication.md run, and give what the pages say."""
 
 import re
 
@@ -13,9 +13,11 @@ from hident.engine.runner import run
 from hident.reports.output import Outputs
 from tests.documented import blocks
 
+PAGES = ("docs/configuration.md", "docs/publication.md")
 EXAMPLES = {
     title: text
-    for text in blocks("docs/configuration.md", "yaml")
+    for page in PAGES
+    for text in blocks(page, "yaml")
     for title in re.findall(r"^title: (.*)$", text, re.M)
 }
 PLUGIN = '''
@@ -69,7 +71,7 @@ def test_an_example_runs(plan, title, tmp_path):
 
 
 def test_every_block_is_an_example():
-    assert len(EXAMPLES) == len(blocks("docs/configuration.md", "yaml"))
+    assert len(EXAMPLES) == sum(len(blocks(page, "yaml")) for page in PAGES)
 
 
 def test_axes(plan):

@@ -9,7 +9,7 @@ from hident.engine.experiment import Plan, load
 from hident.errors import ConfigError
 
 
-def planned(folder: Path, text: str, *assignments: str, **options: int) -> Plan:
+def planned(folder: Path, text: str, *assignments: str, **options: int | str) -> Plan:
     """The plan of a configuration, written to ``a.yaml``."""
     plugins.load()
     path = folder / "a.yaml"
@@ -17,7 +17,7 @@ def planned(folder: Path, text: str, *assignments: str, **options: int) -> Plan:
     return load(path, assignments, options)
 
 
-def refusals(folder: Path, text: str, *assignments: str, **options: int) -> list[str]:
+def refusals(folder: Path, text: str, *assignments: str, **options: int | str) -> list[str]:
     """The lines of the message, with the folder left out; none if the configuration is sound."""
     try:
         planned(folder, text, *assignments, **options)

@@ -499,7 +499,8 @@ figures:
                 [
                     "11: estimators2: unknown key; did you mean 'estimators'? (allowed: cases, skip, "
                     "samples, dt, system, excitation, noise, streams, record, version, title, plugins, "
-                    "paper, seed, trials, estimators, metrics, tables, figures, published, alternatives)"
+                    "paper, seed, trials, estimators, metrics, tables, figures, formats, published, "
+                    "alternatives)"
                 ],
             ),
             (

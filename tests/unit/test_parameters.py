@@ -79,9 +79,12 @@ def make(tmp_path: Path):
     rows = "T,r,mean,2.0,\nT,r,std,1.5,\nT,s,std,0.5,\n"
     (paper / "published.csv").write_text("table,row,quantity,printed,note\n" + rows)
 
-    def results(table: str = "e", change: tuple[str, str] = ("", "")) -> Results:
+    def results(table: str = "e", change: tuple[str, str] = ("", ""), *more: tuple[str, str]) -> Results:
         path = tmp_path / "c.yaml"
-        path.write_text(CONFIG.replace("TABLE", table).replace(*change))
+        text = CONFIG.replace("TABLE", table)
+        for words in (change, *more):
+            text = text.replace(*words)
+        path.write_text(text)
         plan = load(path)
         series = tuple(
             Series(unit, label, np.array(VALUES.get((unit.name, label), [7.0, 7.0, 7.0])))
@@ -165,3 +168,23 @@ def test_an_efficiency_figure_needs_its_table(make):
 def test_an_efficiency_needs_what_its_estimators_and_its_bound_are_scored_by(make, change, message):
     with pytest.raises(ConfigError, match=re.escape(message)):
         check(make(change=change).plan)
+
+
+AXES = (
+    ("cases: {noise.a: [[0.5]]}", "cases: {noise.std: [1, 2], samples: [40, 50]}"),
+    ("x: noise.a, table: e", "x: samples, table: e, FIELDS"),
+)
+
+
+def test_an_efficiency_over_one_of_two_axes_is_refused_and_held_or_repeated_over_the_other(make):
+    with pytest.raises(ConfigError, match=r"the axes noise\.std too: give"):
+        check(make("e", *AXES, (", FIELDS", "")).plan)
+    for fields in ("at: {noise.std: 2}", "facets: {columns: noise.std}"):
+        results = make("e", *AXES, ("FIELDS", fields))
+        check(results.plan)
+        with style():
+            figure = results.plan.experiment.figures["e"].drawn(results, ())
+        curves = [
+            line.get_xdata() for axes in figure.axes for line in axes.lines if line.get_label() == "one"
+        ]
+        assert [list(x) for x in curves] == [[40.0, 50.0]] * (1 + (fields[0] == "f"))

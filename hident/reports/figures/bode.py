@@ -17,8 +17,8 @@ from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.metrics import frequency
-from hident.reports.base import FigureSpec, Misfit
-from hident.reports.style import LINES, TRUTH, Look, band_edge, legend_above, panel_grid
+from hident.reports.base import FigureSpec, Misfit, first_case
+from hident.reports.style import LINES, TRUTH, Look, band_edge, legend_above, subplots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -49,6 +49,12 @@ class Bode(FigureSpec):
         if "blocks" not in plan.units[0].data.system.provides():
             yield ("kind",), "the system has no true linear blocks in continuous time"
 
+    def looks_needed(self, plan: Plan) -> int:
+        return len(self.estimators)
+
+    def says(self, results: Results) -> str:
+        return first_case(results.plan, self.estimators)
+
     def labels(self) -> Iterator[str]:
         """The labels of the metric's numbers that it shows."""
         for quantity, side in itertools.product(("gain", "phase"), ("i", "o")):
@@ -59,7 +65,9 @@ class Bode(FigureSpec):
         return [f"{quantity}_{side}_{m}{harmonic}" for m in range(1, self.frequencies + 1)]
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        figure, grid = panel_grid(8, 2, 3.4, 1.9)
+        # The blocks stand side by side in print too.
+        figure, panels = subplots(4, 2, figsize=(2 * 3.4 + 0.4, 4 * 1.9 + 0.5))
+        grid = [*panels.flat]
         data = next(results.select(self.estimators[0])).unit.data
         blocks = data.system.truth().blocks
         stretches = data.excitation.stretches(data.samples, data.dt or 1.0)

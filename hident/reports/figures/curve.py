@@ -15,7 +15,15 @@ from hident.engine.experiment import Plan, Statistic
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Beside, Verdict, beside
 from hident.reports.base import FigureSpec, Misfit, unscored
-from hident.reports.style import LINES, TRUE_LEVEL, band_edge, label_edges, panel_rows
+from hident.reports.style import (
+    LINES,
+    TRUE_LEVEL,
+    band_edge,
+    composed,
+    label_edges,
+    legend_above,
+    panel_rows,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,6 +77,15 @@ class Curve(FigureSpec):
         for name in () if self.panels else plan.experiment.estimators:
             yield from unscored(plan, ("metric",), name, self.metric)
 
+    def looks_needed(self, plan: Plan) -> int:
+        axes = [axis.name for axis in plan.axes if axis.name != self.x]
+        curves = {
+            (unit.name, *(unit.labels.get(axis) for axis in axes))
+            for unit in plan.units
+            if self.metric in unit.metric_labels
+        }
+        return max(sum(curve[0] in names for curve in curves) for names in self._panels(plan))
+
     def _panels(self, plan: Plan) -> tuple[tuple[str, ...], ...]:
         return self.panels or (tuple(plan.experiment.estimators),)
 
@@ -77,17 +94,23 @@ class Curve(FigureSpec):
         around = 1.4 * (len(panels) == 1), 0.7 * (len(panels) <= 2)
         figure, grid = panel_rows(len(panels), 2, (3.4, 2.6), around, sharex=True, sharey=True)
         printed = beside(verdicts)
-        lines = itertools.cycle(LINES)
+        # Panels share the looks; the last one is for a panel that needs all.
+        lines = itertools.cycle(LINES[: max(len(LINES) - 1, self.looks_needed(results.plan))])
         for axes, names in zip(grid.flat, panels, strict=False):
             curves = self._curves(results, names)
             for name, curve in curves.items():
                 self._draw_curve(axes, name, curve, next(lines), printed)
-            self._finish(axes, [*curves.values()])
+            if curves:
+                self._finish(axes, [*curves.values()])
             entries = axes.get_legend_handles_labels()
+            if composed():
+                continue
             if len(panels) > 1 or len(entries[1]) <= _MOST_ENTRIES:
                 axes.legend()
             else:
                 figure.legend(*entries, loc="outside upper center", ncols=3)
+        if composed():
+            legend_above(figure)
         label_edges(grid, self.x_label, self.y_label)
         return figure
 
@@ -96,7 +119,7 @@ class Curve(FigureSpec):
         curves: dict[str, list[Series]] = {}
         for name in names:
             for series in results.select(name, self.metric):
-                rest = [f"{axis} = {v}" for axis, v in series.unit.labels.items() if axis != self.x]
+                rest = [f"{axis} = {v}" for axis, v in results.varied(series).items() if axis != self.x]
                 curves.setdefault(", ".join([name, *rest]), []).append(series)
         return curves
 

@@ -57,11 +57,19 @@ class LimitFigure(FigureSpec):
         if not isinstance(source, Limit):
             yield ("table",), f"the table '{self.table}' must be of kind limit, not {source.kind}"
             return
-        yield from ((("table",), said) for said in not_numeric(plan, source.x, positive=self.log_x))
+        for axis, positive in ((source.x, self.log_x), (source.along, False)):
+            yield from ((("table",), said) for said in not_numeric(plan, axis, positive=positive))
         systems = [unit.data.system for unit in plan.units if self.interval is not None]
         lacking = [one.kind for one in systems if "nonlinearity" not in one.provides()]
         if lacking:
             yield ("interval",), f"the system '{lacking[0]}' has no true nonlinearity to show"
+
+    def looks_needed(self, plan: Plan) -> int:
+        source = plan.experiment.tables[self.table]
+        if not isinstance(source, Limit):
+            return 0
+        labels = next((axis.labels for axis in plan.axes if axis.name == source.x), ())
+        return max(len(source.estimators), 0 if self.interval is None else len(labels))
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         source = results.plan.experiment.tables[self.table]

@@ -10,11 +10,21 @@ import numpy as np
 from hident.arrays import Array
 from hident.config.references import EstimatorName, NumericAxis, TableName, ValueName, value_of
 from hident.config.spec import Flag, NonEmpty, component
+from hident.config.suggest import one_of
 from hident.engine.experiment import Plan
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict, beside
-from hident.reports.base import FigureSpec, Misfit
-from hident.reports.style import LINES, TRUE_LEVEL, label_edges, legend_above, panel_rows, subplots, symbol
+from hident.reports.base import FigureSpec, Misfit, first_case
+from hident.reports.style import (
+    LINES,
+    TRUE_LEVEL,
+    label_edges,
+    legend_above,
+    panel_rows,
+    shared_legend,
+    subplots,
+    symbol,
+)
 from hident.reports.tables.parameters import Efficiency, ratios
 
 if TYPE_CHECKING:
@@ -23,7 +33,10 @@ if TYPE_CHECKING:
 
 @component("figure", "parameters")
 class ParameterFigure(FigureSpec):
-    """One panel for each parameter: mean and standard deviation of every estimator against the truth."""
+    """One panel for each parameter: mean and standard deviation of every estimator against the truth.
+
+    Of several cases the first is shown, and said: 'at' chooses another, and 'facets' shows all.
+    """
 
     metric: str
     """Name of the metric of kind value."""
@@ -31,6 +44,12 @@ class ParameterFigure(FigureSpec):
     """Names of the values, one panel each."""
     estimators: NonEmpty[EstimatorName]
     """Names of the estimators."""
+
+    def looks_needed(self, plan: Plan) -> int:
+        return len(self.estimators)
+
+    def says(self, results: Results) -> str:
+        return first_case(results.plan, self.estimators)
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         theirs = {at: verdict.printed.value for at, verdict in beside(verdicts).items()}
@@ -55,14 +74,16 @@ class ParameterFigure(FigureSpec):
             axes.ticklabel_format(axis="y", useOffset=False)
         for axes in grid[:, 0]:
             axes.set_ylabel("mean ± standard deviation")
-        handles, labels = grid.flat[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=min(4, len(labels)))
+        shared_legend(figure, grid.flat[0].get_legend_handles_labels(), 4)
         return figure
 
 
 @component("figure", "gain")
 class Gain(FigureSpec):
-    """Ratio of two estimators' standard deviations for each parameter, and the ratio of the printed ones."""
+    """Ratio of two estimators' standard deviations for each parameter, and the ratio of the printed ones.
+
+    Of several cases the first is shown, and said.
+    """
 
     metric: str
     """Name of the metric of kind value."""
@@ -74,6 +95,9 @@ class Gain(FigureSpec):
     """Name of the estimator in the denominator."""
     y_label: str
     """Label of the ordinate."""
+
+    def says(self, results: Results) -> str:
+        return first_case(results.plan, (self.reference, self.estimator))
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         figure, axes = subplots(figsize=(4.6, 3.0))
@@ -127,6 +151,21 @@ class EfficiencyFigure(FigureSpec):
             yield ("table",), f"the table '{self.table}' must be of kind efficiency, not {source.kind}"
         elif unknown := [name for name in self.of if name not in source.of]:
             yield ("of",), f"the table '{self.table}' does not hold {', '.join(unknown)}"
+        elif others := self._others(plan, source):
+            yield (
+                ("x",),
+                f"a curve over '{self.x}' cannot hold the axes {one_of(others)} too: give 'facets' or 'at'",
+            )
+
+    def _others(self, plan: Plan, source: Efficiency) -> list[str]:
+        """The axes beside x that its cases vary along."""
+        units = [unit for unit in plan.units if unit.name in source.estimators]
+        names = (axis.name for axis in plan.axes if axis.name != self.x)
+        return [name for name in names if len({unit.labels.get(name) for unit in units}) > 1]
+
+    def looks_needed(self, plan: Plan) -> int:
+        source = plan.experiment.tables[self.table]
+        return len(source.estimators) if isinstance(source, Efficiency) else 0
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         source = results.plan.experiment.tables[self.table]
@@ -144,6 +183,5 @@ class EfficiencyFigure(FigureSpec):
             if self.log_y:
                 axes.set_yscale("log")
         label_edges(grid, self.x_label, "bound / variance")
-        handles, labels = grid.flat[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=min(3, len(labels)))
+        shared_legend(figure, grid.flat[0].get_legend_handles_labels(), 3)
         return figure

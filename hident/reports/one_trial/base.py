@@ -14,11 +14,14 @@ from hident.config.spec import Count, Real, Spec
 from hident.config.suggest import one_of
 from hident.config.yaml12 import Location
 from hident.engine.experiment import Plan, Unit
+from hident.engine.measurement import Measurement
 from hident.records import Truth, needed
 from hident.reports.base import FigureSpec, Misfit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from hident.engine.results import Results
 
 NOTE = {"boxstyle": "square,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
 """The ground of words that stand on curves."""
@@ -87,6 +90,11 @@ class OneTrialFigure(FigureSpec):
 
     trial: Annotated[Count, Field(ge=0)] = 0
     """Number of the trial."""
+
+    def says(self, results: Results) -> str:
+        """The number of the trial; a measured record is none."""
+        measured = all(isinstance(unit.data, Measurement) for unit in results.plan.units)
+        return "" if measured and self.trial == 0 else f"trial {self.trial}"
 
 
 def true_curve(truth: Truth, x: Array) -> Array:

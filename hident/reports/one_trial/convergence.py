@@ -65,6 +65,9 @@ class Convergence(OneTrialFigure):
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         yield from offset_misfits(plan, ("truths",), self.curves[:1], self.truths)
 
+    def looks_needed(self, plan: Plan) -> int:
+        return len({curve.text for curve in self.curves})
+
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         from matplotlib.ticker import MaxNLocator
 

@@ -90,6 +90,9 @@ class LevelMeans(OneTrialFigure):
     y_label: str
     """Label of the output, with its unit."""
 
+    def looks_needed(self, plan: Plan) -> int:
+        return len(self.curves)
+
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         for i, curve in enumerate(self.curves):
             yield from curve.misfits(plan, ("curves", i), of_truth="nonlinearity")

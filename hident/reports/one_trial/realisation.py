@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 class Realisation(OneTrialFigure):
     """The estimates of one trial against the true characteristic, with the data."""
 
-    at: NonEmpty[CaseLabels] = ({},)
+    at_is_own = True
+
+    at: NonEmpty[CaseLabels] = ({},)  # type: ignore[assignment]
     """Labels of the cases, one panel for each, e.g. [{samples: 50}, {samples: 500}]."""
     estimators: NonEmpty[EstimatorName]
     """Names of the estimators."""

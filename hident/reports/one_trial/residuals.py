@@ -19,7 +19,7 @@ from hident.numerics.judgement import Residuals
 from hident.numerics.residuals import Correlations, Tested
 from hident.reports.base import Misfit
 from hident.reports.one_trial.base import OneTrialFigure, Shown, say_failed
-from hident.reports.style import DATA, LINES, TRUE_LEVEL, Look, band_edge, subplots
+from hident.reports.style import DATA, LINES, TRUE_LEVEL, Look, band_edge, beside, subplots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,7 +59,9 @@ class ResidualFigure(OnOutput, OneTrialFigure):
             yield ("on" if self.on == "validation" else "n_init",), str(error)
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
-        figure, grid = subplots(2, 2, figsize=(6.8, 4.8))
+        columns = beside(2, 3.4)
+        figure, panels = subplots(4 // columns, columns, figsize=(3.4 * columns, 9.6 / columns))
+        grid = panels.reshape(2, 2)
         realised = OneTrial(results.plan, self.trial).of(self.curve.estimator, self.curve.at)
         failure, found = realised.failure, None
         if realised.found is not None and realised.record is not None:
@@ -78,9 +80,9 @@ class ResidualFigure(OnOutput, OneTrialFigure):
         grid[0, 0].set_ylabel(self.y_label)
         _correlations(grid[0, 1], "autocorrelation of e", [found.whiteness], "lag (samples)")
         tried = found.nonlinear_input.values()
-        beside = [found.input, max(tried, key=lambda one: one.test.statistic, default=None)]
+        both = [found.input, max(tried, key=lambda one: one.test.statistic, default=None)]
         named = "correlation of e with the past"
-        _correlations(grid[1, 0], named, [one for one in beside if one], "samples before")
+        _correlations(grid[1, 0], named, [one for one in both if one], "samples before")
         _quantiles(grid[1, 1], found)
         return figure
 

@@ -89,6 +89,9 @@ class Validation(OneTrialFigure):
         except ValueError as error:
             yield ("excitation",), str(error)
 
+    def looks_needed(self, plan: Plan) -> int:
+        return len({curve.text for panel in self.panels for curve in panel.curves})
+
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         trial = OneTrial(results.plan, self.trial)
         lines = looks(curve.text for panel in self.panels for curve in panel.curves)
@@ -191,6 +194,9 @@ class SettlingMap(OneTrialFigure):
         system = self.curves[0].unit(plan).data.system
         if not isinstance(system, Settles):
             yield ("kind",), f"the system '{system.kind}' has no settling time that varies with its input"
+
+    def looks_needed(self, plan: Plan) -> int:
+        return len({curve.text for curve in self.curves})
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         trial = OneTrial(results.plan, self.trial)

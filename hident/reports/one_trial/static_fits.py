@@ -131,6 +131,9 @@ class StaticFit(OneTrialFigure):
         for i, panel in enumerate(self.panels):
             yield from panel.misfits(plan, ("panels", i))
 
+    def looks_needed(self, plan: Plan) -> int:
+        return len({curve.text for panel in self.panels for curve in panel.curves})
+
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         trial = OneTrial(results.plan, self.trial)
         lines = looks(curve.text for panel in self.panels for curve in panel.curves)

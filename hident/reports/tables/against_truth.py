@@ -21,6 +21,8 @@ from hident.reports.tables.writing import judged, legend
 class AgainstTruth(TableSpec):
     """One row for each quantity: the truth, the printed number, and mean ± std of each estimator."""
 
+    at_is_own = True
+
     row_header: str = "quantity"
     """Heading of the first column."""
     rows: Annotated[dict[str, Annotated[str, value_of(), value_of("truth", scores=())]], Field(min_length=1)]
@@ -65,7 +67,8 @@ class AgainstTruth(TableSpec):
         header = (self.row_header, "truth", *(["printed"] if printed else []), *self.estimators)
         notes = ("Ours: mean ± standard deviation over the trials.", *_missing(shown, results.plan.trials))
         explained = legend(printed.values()) if printed else ()
-        return Table(self.title, header, tuple(rows), (*notes, *explained))
+        statistic = "mean ± standard deviation"
+        return Table(self.title, header, tuple(rows), (*notes, *explained), statistic=statistic)
 
     def _ours(self, series: Series) -> str:
         mean, std = series.value("mean"), series.value("std")

@@ -42,7 +42,7 @@ class Agreement(SettingsSpec):
             rows.append((*map(str, setting), *signs, f"{one['inside'].sum()} of {len(one)}"))
         printed = [f"{quantity}: {number}" for quantity, number in columns.itertuples(index=False)]
         header = ("estimator", *axes, *printed, "inside")
-        return Table(self.title, header, tuple(rows), (_NOTE,), data)
+        return Table(self.title, header, tuple(rows), (_NOTE,), data, "median", 1 + len(axes))
 
     def _judged(self, results: Results) -> Iterator[dict[str, object]]:
         for cell, series, printed in beside_series(results, self.cells):

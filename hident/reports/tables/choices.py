@@ -42,7 +42,8 @@ class Choices(TableSpec):
         data = pd.DataFrame(
             [(*head, *row) for head, row in zip(heads, shares, strict=True)], columns=list(header)
         )
-        return Table(self.title, header, tuple(rows), (f"Percent of {results.plan.trials} trials.",), data)
+        notes = (f"Percent of {results.plan.trials} trials.",)
+        return Table(self.title, header, tuple(rows), notes, data, "percent of the trials", len(axes) + 1)
 
     def counts(self, results: Results, case: Series) -> Counter[Outcome]:
         """How many trials of the estimator and the case of a series have each outcome."""

@@ -26,6 +26,8 @@ _NOTE = "Distance: mean over the rows of |log(ours / printed)|; 0.1 is about 10 
 class SettingsSpec(TableSpec):
     """Base of the tables that hold settings of open choices against the printed numbers."""
 
+    at_is_own = True
+
     cells: tuple[PublishedCells, ...]
     """The correspondence of cells; several may name the same printed quantity."""
     at: CaseLabels = {}
@@ -60,12 +62,14 @@ class _Distances(SettingsSpec):
             ratios.setdefault(group, []).append(float(ratio))
         return {group: float(np.mean(values)) for group, values in ratios.items()}
 
-    def table(self, data: pd.DataFrame, shown: pd.DataFrame) -> Table:
+    def table(self, data: pd.DataFrame, shown: pd.DataFrame, heads: int) -> Table:
         rows = tuple(
             tuple(value if isinstance(value, str) else f"{value:.3f}" for value in row)
             for row in shown.itertuples(index=False)
         )
-        return Table(self.title, tuple(shown.columns), rows, (_NOTE,), data)
+        statistics = " and ".join(dict.fromkeys(cell.statistic for cell in self.cells))
+        statistic = f"distances of the {statistics}"
+        return Table(self.title, tuple(shown.columns), rows, (_NOTE,), data, statistic, heads)
 
 
 @component("table", "distance")
@@ -80,7 +84,8 @@ class Distance(_Distances):
         data = pd.DataFrame(rows, columns=names)
         data = data[["quantity", *(name for name in names if name != "quantity")]]
         data = data.sort_values(["quantity", "distance"], ignore_index=True, kind="stable")
-        return self.table(data, data.groupby(["quantity", "metric"], sort=False).head(self.best))
+        nearest = data.groupby(["quantity", "metric"], sort=False).head(self.best)
+        return self.table(data, nearest, len(names) - 1)
 
 
 @component("table", "joint_distance")
@@ -110,4 +115,4 @@ class JointDistance(_Distances):
                 rows.append((*score, *setting, *found, float(np.mean(np.array(found, dtype=float)))))
         names = ["metric", "statistic", *axes, *quantities, "mean"]
         data = pd.DataFrame(rows, columns=names).sort_values("mean", ignore_index=True, kind="stable")
-        return self.table(data, data.head(self.best))
+        return self.table(data, data.head(self.best), 2 + len(axes))

@@ -133,7 +133,9 @@ class Distribution(TableSpec):
         ours = () if results.plan.trials == 1 else (_OURS,)
         explained = (*ours, _PERCENTILE, *legend(verdicts)) if verdicts else ours
         header = (self.row_header, *self.columns)
-        return Table(self.title, header, tuple(rows), (*explained, *failed), _data(results, cells))
+        statistic = "median [5 %, 95 %] of single trials" if ours else "one trial"
+        notes = (*explained, *failed)
+        return Table(self.title, header, tuple(rows), notes, _data(results, cells), statistic)
 
     def _cells(self, results: Results, row: Group, printed: Mapping[int, Verdict]) -> Iterator[_Cell]:
         for heading, metric in _metrics(self, row).items():

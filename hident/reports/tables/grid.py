@@ -19,6 +19,16 @@ from hident.reports.tables.writing import decimals_of, failures, judged, legend,
 Quantity = Literal["mean", "std", "se", "median", "spread", "mean_std"]
 
 
+_WORDS: dict[Quantity, str] = {
+    "mean": "mean",
+    "std": "standard deviation",
+    "se": "standard error of the mean",
+    "median": "median",
+    "spread": "median [quartiles]",
+    "mean_std": "mean ± standard deviation",
+}
+
+
 class Column(Spec):
     """One column of a grid."""
 
@@ -76,7 +86,14 @@ class Grid(TableSpec):
         notes = legend(verdicts) if any(shown) else []
         shown_ones = (one for c in self.columns for one in results.select(c.estimator, c.metric))
         failed = failures(shown_ones)
-        return Table(self.title, tuple(header), tuple(rows), (*notes, *failed))
+        return Table(self.title, tuple(header), tuple(rows), (*notes, *failed), statistic=self._statistic())
+
+    def _statistic(self) -> str:
+        """The statistics of the columns in words, by their headings where they are not all the same."""
+        words = {column.header or column.estimator: _WORDS[column.statistic] for column in self.columns}
+        if len(set(words.values())) == 1:
+            return next(iter(words.values()))
+        return "; ".join(f"{heading}: {word}" for heading, word in words.items())
 
     def _cell(self, series: Series, statistic: Quantity) -> str:
         s = series.statistics

@@ -42,6 +42,8 @@ class Limit(TableSpec):
     infinite, so that a method cannot gain by failing.
     """
 
+    at_is_own = True
+
     x: Annotated[str, NumericAxis()]
     """The axis that goes down; its labels are numbers."""
     along: Annotated[str, NumericAxis()]
@@ -81,7 +83,7 @@ class Limit(TableSpec):
             f"Largest {self.along} up to which the median of {self.metric} stays below {self.below:g}; "
             "failed trials count as infinite; >= where it does so at every label tried.",
         )
-        return Table(self.title, (self.x, *self.estimators), rows, notes, data)
+        return Table(self.title, (self.x, *self.estimators), rows, notes, data, "by medians")
 
     def reaches(self, results: Results, estimator: str) -> list[Reach]:
         """How far an estimator goes at every label of ``x``, in increasing order."""

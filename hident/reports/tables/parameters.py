@@ -13,13 +13,16 @@ from hident.config.references import EstimatorName, ValueName, value_of
 from hident.config.spec import Count, NonEmpty, component
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside
-from hident.reports.base import Table, TableSpec
+from hident.reports.base import Table, TableSpec, first_case
 from hident.reports.tables.writing import judged, legend
 
 
 @component("table", "parameters")
 class Parameters(TableSpec):
-    """One row for each parameter, one column for each estimator: mean ± std, printed numbers beside."""
+    """One row for each parameter, one column for each estimator: mean ± std, printed numbers beside.
+
+    Of several cases the first is shown, and said: 'at' chooses another, and 'facets' shows all.
+    """
 
     metric: str
     """Name of the metric of kind value."""
@@ -50,7 +53,9 @@ class Parameters(TableSpec):
                     found = [printed[id(series), s] for s in statistics if (id(series), s) in printed]
                     row.append(" ± ".join(map(judged, found)))
             rows.append(tuple(row))
-        return Table(self.title, tuple(header), tuple(rows), tuple(legend(verdicts)) if printed else ())
+        said = first_case(results.plan, self.estimators)
+        notes = (*([f"{said[0].upper()}{said[1:]}."] if said else []), *(legend(verdicts) if printed else ()))
+        return Table(self.title, tuple(header), tuple(rows), notes, statistic="mean ± standard deviation")
 
     def _has_printed(self, results: Results, estimator: str, verdicts: Sequence[Verdict]) -> bool:
         shown = [
@@ -84,7 +89,7 @@ class Efficiency(TableSpec):
         import pandas as pd
 
         rows = [
-            {**first.unit.labels, "estimator": estimator, **dict(zip(self.of, values, strict=True))}
+            {**results.varied(first), "estimator": estimator, **dict(zip(self.of, values, strict=True))}
             for estimator in self.estimators
             for first in results.select(estimator, f"{self.metric} {self.of[0]}")
             for values in [self.efficiencies(results, estimator, first)]
@@ -101,7 +106,8 @@ class Efficiency(TableSpec):
         )
         error = np.sqrt(2.0 / max(results.plan.trials - 1, 1))
         note = f"Relative standard error of each entry: {error:.3f} ({results.plan.trials} trials)."
-        return Table(self.title, tuple(map(str, data.columns)), shown, (note,), data)
+        statistic, heads = "squared bound over variance", len(data.columns) - len(self.of)
+        return Table(self.title, tuple(map(str, data.columns)), shown, (note,), data, statistic, heads)
 
     def efficiencies(self, results: Results, estimator: str, case: Series) -> list[float]:
         """The efficiency of every parameter in the case of a series; nan where that has no bound."""

@@ -40,7 +40,7 @@ class Rate(TableSpec):
         groups: dict[tuple[str, tuple[tuple[str, Label], ...]], list[Series]] = {}
         for estimator in self.estimators:
             for series in results.select(estimator, self.metric):
-                rest = tuple((a, v) for a, v in series.unit.labels.items() if a != self.axis)
+                rest = tuple((a, v) for a, v in results.varied(series).items() if a != self.axis)
                 groups.setdefault((estimator, rest), []).append(series)
         rows = []
         for (estimator, rest), group in groups.items():
@@ -59,6 +59,8 @@ class Rate(TableSpec):
                 for row in data.itertuples(index=False)
             ),
             data=data,
+            statistic=f"slope of the logarithm of the {self.statistic} ± its standard error",
+            heads=list(data.columns).index("slope"),
         )
 
     def slope(self, group: Sequence[Series]) -> tuple[float, float]:
