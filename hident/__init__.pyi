@@ -81,6 +81,8 @@ from hident.models.formulas import formulas as formulas
 from hident.models.model_file import load_model as load_model, write_model as write_model
 from hident.records import Estimate as Estimate, Record as Record
 from hident.reports.figures.bode import Bode as Bode
+from hident.reports.figures.comparisons import CriticalDifferences as CriticalDifferences
+from hident.reports.figures.comparisons import PairedDifferences as PairedDifferences
 from hident.reports.figures.curve import Curve as Curve
 from hident.reports.figures.limits import LimitFigure as LimitFigure
 from hident.reports.figures.parameters import EfficiencyFigure as EfficiencyFigure, Gain as Gain
@@ -96,6 +98,7 @@ from hident.reports.one_trial.static_fits import StaticFit as StaticFit
 from hident.reports.tables.agreement import Agreement as Agreement
 from hident.reports.tables.against_truth import AgainstTruth as AgainstTruth
 from hident.reports.tables.choices import Choices as Choices
+from hident.reports.tables.comparison import Comparison as Comparison
 from hident.reports.tables.distances import Distance as Distance, JointDistance as JointDistance
 from hident.reports.tables.distributions import Distribution as Distribution
 from hident.reports.tables.grid import Grid as Grid

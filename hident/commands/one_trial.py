@@ -140,7 +140,7 @@ def _odd(plan: Plan, reader: Reader, units: Sequence[Unit], label: str, *, worst
                 continue
             values = _series(plan, reader, unit, name)[:, metric.labels(name).index(label)]
             # Least is best from here on.
-            badness = -values if metric.largest_is_best else np.abs(values)
+            badness = -values if metric.best == "highest" else np.abs(values)
             if np.isfinite(badness).any():
                 place = int((np.nanargmax if worst else np.nanargmin)(badness))
                 found.append((float(badness[place]), unit, place))

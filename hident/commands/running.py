@@ -20,6 +20,7 @@ from hident.engine.run_files import PAGE, POWER
 from hident.engine.runner import CrashReport, run
 from hident.engine.store import Store, TrialStore
 from hident.errors import ConfigError, Exit, NothingToCompare
+from hident.numerics.influence import hangs_on_one, largest_share
 from hident.progress import chosen, reminder
 from hident.run_folder import RunFolder, phase
 
@@ -125,6 +126,8 @@ class Bench:
                         results = self._trials(plan, writer, plan.name, keep_going=keep_going)
                     undrawn = outputs.write(results, self._workers_used(), seconds)
                     note = f"{plan.name}: wrote {outputs.folder}"
+                    if (hanging := _hanging(results)) and not self.quiet:
+                        print(f"{plan.name}: {hanging}", file=sys.stderr)
         tell("outputs", note, config=plan.name)
         if not self.quiet:
             print(note, file=sys.stderr)
@@ -166,6 +169,20 @@ class Bench:
                 file=sys.stderr,
             )
         return results
+
+
+def _hanging(results: Results) -> str:
+    """What to say of means that hang on a single trial each; nothing if none does."""
+    found = [one for one in results.series if hangs_on_one(one.values)]
+    if not found:
+        return ""
+    first = found[0]
+    share = 100.0 * largest_share(first.values)
+    return (
+        f"{len(found)} of {len(results.series)} means hang on a single trial each (the first: {first.metric} "
+        f"of {first.unit.described()}, where it is {share:.0f} % of the sum of squares); table.csv has the "
+        "medians"
+    )
 
 
 @contextmanager

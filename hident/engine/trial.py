@@ -26,7 +26,7 @@ from hident.estimators.base import Batched, EstimatorSpec, is_batched
 from hident.metrics.base import MetricSpec
 from hident.records import Estimate, Part, Record
 from hident.signals.base import ExcitationSpec, NoiseSpec, Stretch
-from hident.signals.streams import NumpyStreams, StreamsSpec
+from hident.signals.streams import NumpyStreams, OfData, StreamsSpec
 from hident.systems.base import SystemSpec
 
 T = TypeVar("T")
@@ -35,6 +35,8 @@ FAILURES = (TrialFailed, np.linalg.LinAlgError, ArithmeticError)
 """What an estimate, a metric or a simulation may raise as its result: the trial counts as failed."""
 _PERTURBATION = 4
 """Spawn key of the perturbation's draws; those of the streams' roles are smaller."""
+_SHARED = 0
+"""The key of a stream that belongs to no case: what its cases have in common is the seed alone."""
 _CHECKED = 1
 """The trial of which a batch is held against ``fit``: the first chunk of a run holds trial 0 alone."""
 OF_METRIC = "metric: "
@@ -92,6 +94,10 @@ class Data(Spec):
         """Hash of everything that the data depend on besides the seed and the trial."""
         return int(digest(canonical(self)), 16)
 
+    def stream_key(self, role: OfData) -> int:
+        """The key of the stream of a role: that of the data, unless all cases share the stream."""
+        return _SHARED if role in self.streams.share else self.key
+
     @property
     def resampled(self) -> bool:
         """Whether :meth:`record_for` gives each estimator records of its own."""
@@ -112,7 +118,7 @@ class Data(Spec):
 
     def before_noise(self, seed: int, trial: int) -> Record:
         """The record before noise."""
-        inputs = self.streams.generator("input", seed, self.key, trial)
+        inputs = self.streams.generator("input", seed, self.stream_key("input"), trial)
         interval = _interval(self)
         stretches = self.excitation.stretches(self.samples, interval)
         one_grid = len(stretches) == 1 and stretches[0].dt == interval
@@ -185,7 +191,7 @@ def generate(data: Data, seed: int, trial: int, perturbation: int = 0) -> Record
     last place or left, at random: another draw for each k, as another processor's rounding would be. Equal
     values of u stay equal, so that a held input keeps its levels. The truth stays.
     """
-    noise = data.streams.generator("noise", seed, data.key, trial)
+    noise = data.streams.generator("noise", seed, data.stream_key("noise"), trial)
     return _noisy(data, data.before_noise(seed, trial), noise, seed, trial, perturbation)
 
 
@@ -359,13 +365,14 @@ def _records(
 ) -> dict[int, Record | BaseException]:
     """The records of the trials, or what was raised; where the input is fixed, they are simulated once."""
     once = cache(lambda: data.before_noise(seed, 0)) if data.streams.is_fixed("input") else None
-    noises = _attempt(lambda: data.streams.generators("noise", seed, data.key, trials), clock)
+    key = data.stream_key("noise")
+    noises = _attempt(lambda: data.streams.generators("noise", seed, key, trials), clock)
 
     def record(place: int, trial: int) -> Record:
         clean = once() if once else data.before_noise(seed, trial)
         # Where one of the streams cannot be had, the others can.
         if isinstance(noises, BaseException):
-            noise = data.streams.generator("noise", seed, data.key, trial)
+            noise = data.streams.generator("noise", seed, key, trial)
         else:
             noise = noises[place]
         return _noisy(data, clean, noise, seed, trial, perturbation)

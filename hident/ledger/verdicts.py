@@ -256,10 +256,13 @@ def _with_multiplicity(verdict: Verdict, sound: Container[str]) -> Verdict:
 
 
 def grouped(verdicts: Iterable[Verdict]) -> list[list[Verdict]]:
-    """The verdicts on numbers of one table from the same data together."""
+    """The verdicts on numbers of one table from the same data together, or from data that share draws."""
     groups: dict[tuple[str, str], list[Verdict]] = {}
     for verdict in verdicts:
-        groups.setdefault((verdict.printed.table, str(verdict.series.unit.data.key)), []).append(verdict)
+        data = verdict.series.unit.data
+        # Trials that draw the same numbers in all cases are not independent over the cases.
+        drawn = "shared" if data.streams.share else str(data.key)
+        groups.setdefault((verdict.printed.table, drawn), []).append(verdict)
     return list(groups.values())
 
 

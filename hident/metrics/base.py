@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from hident.config.references import EstimatorName
 from hident.config.spec import Component
 from hident.records import Estimate, Record
 from hident.signals.base import ExcitationSpec, Stretch
 from hident.systems.base import SystemSpec
+
+Best = Literal["lowest", "highest", "zero"]
+"""Which values are good: low ones, high ones, or those near zero, whatever their sign."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +41,8 @@ class Scored:
 class MetricSpec(Component):
     """Base of all metrics."""
 
-    largest_is_best: ClassVar[bool] = False
-    """Whether a larger value is a better one; else a smaller absolute value is."""
+    best: ClassVar[Best | None] = None
+    """Which of its values are good, for comparisons of methods; None: it is no score."""
 
     estimators: tuple[EstimatorName, ...] | None = None
     """Names of the estimators that it scores; all of them by default."""

@@ -19,6 +19,7 @@ import numpy as np
 from hident.arrays import Array
 from hident.config.spec import component
 from hident.errors import EstimationError
+from hident.metrics.base import Best
 from hident.metrics.outputs import OutputMetric
 from hident.numerics.rounding import is_constant
 from hident.records import Estimate, Record
@@ -45,6 +46,8 @@ def nrmse(y: Array, y_hat: Array) -> float:
 
 
 class _OfError(OutputMetric):
+    best: ClassVar[Best | None] = "lowest"
+
     def of_outputs(self, y: Array, y_hat: Array) -> float:
         """The score of two outputs (N,)."""
         raise NotImplementedError
@@ -101,7 +104,7 @@ class RSquared(_OfError):
     0.9914
     """
 
-    largest_is_best: ClassVar[bool] = True
+    best: ClassVar[Best | None] = "highest"
 
     def of_outputs(self, y: Array, y_hat: Array) -> float:
         return 1.0 - nrmse(y, y_hat) ** 2
@@ -137,7 +140,7 @@ class FitIndex(_OfError):
     90.7
     """
 
-    largest_is_best: ClassVar[bool] = True
+    best: ClassVar[Best | None] = "highest"
 
     def of_outputs(self, y: Array, y_hat: Array) -> float:
         return 100.0 * (1.0 - nrmse(y, y_hat))

@@ -220,6 +220,8 @@ class ResponseError(_Estimated, _True):
     0.093
     """
 
+    best = "zero"
+
     relative: Flag = False
     """In percent of the true gain or phase."""
 
@@ -255,6 +257,8 @@ class GainShapeError(MetricSpec):
     >>> round(hi.score(estimate, record, shape=hi.GainShapeError(harmonics=[1, 3]))["shape"], 1)
     13.9
     """
+
+    best = "lowest"
 
     harmonics: Annotated[tuple[Annotated[Count, Field(ge=1)], ...], Field(min_length=2)]
     """Harmonics K of the multisines' period; as many sines have their frequencies."""

@@ -90,6 +90,8 @@ class LinearPercentError(MetricSpec):
     11.6
     """
 
+    best = "lowest"
+
     step: Annotated[Real, Field(gt=0)] | None = None
     """Sampling interval at which the blocks are compared, in the unit of dt (default: dt itself)."""
 
@@ -178,6 +180,8 @@ class ValidationPercentError(MetricSpec):
     >>> round(hi.score(estimate, record, error=validation)["error"], 1)
     10.0
     """
+
+    best = "lowest"
 
     excitation: Annotated[ExcitationSpec, Of("excitation")]
     """The input; a random one is drawn from a stream of its own, the same in every trial."""

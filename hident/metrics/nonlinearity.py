@@ -11,7 +11,7 @@ from pydantic import Field
 from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Interval, NonEmpty, Real, component
 from hident.errors import TrialFailed
-from hident.metrics.base import MetricSpec, Scored
+from hident.metrics.base import Best, MetricSpec, Scored
 from hident.records import Estimate, Record, Truth, needed
 
 _NODES = 8
@@ -51,6 +51,8 @@ def _finite(values: Array, u: Array, whose: str) -> Array:
 
 
 class _OnInterval(MetricSpec):
+    best: ClassVar[Best | None] = "lowest"
+
     interval: Interval
     """The input range [low, high] that the error is taken over."""
     points: Annotated[Count, Field(ge=_NODES)] = 4096
@@ -148,7 +150,7 @@ class ErrorReduction(IntegratedSquaredError):
     True
     """
 
-    largest_is_best: ClassVar[bool] = True
+    best: ClassVar[Best | None] = "highest"
 
     def needs_of_estimate(self) -> frozenset[str]:
         return super().needs_of_estimate() | {"unfiltered"}

@@ -76,6 +76,8 @@ class Error(_EachValue, _AgainstTruth):
     {'a a_1': 0.25}
     """
 
+    best = "zero"
+
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         return self.errors(estimate, record)
 
@@ -169,6 +171,8 @@ class PercentError(_AgainstTruth):
     >>> hi.score(hi.Estimate(values={"a_1": 0.75}), record, a=hi.PercentError(of=["a_1"]))
     {'a': 50.0}
     """
+
+    best = "lowest"
 
     def check(self, scored: Scored) -> None:
         values = scored.system.truth().values

@@ -80,6 +80,11 @@ class Matlab5Streams(StreamsSpec):
             given = self._given(role)
             if given is not None and not given.is_fixed():
                 raise ValueError(f"{role} is fixed, but its state '{given.state}' changes with the trial")
+        for role in self.share:
+            if self._given(role) is not None:
+                raise ValueError(
+                    f"{role} starts from a given state, which all cases share: leave 'share' out"
+                )
         return self
 
     def is_fixed(self, role: Role) -> bool:

@@ -8,13 +8,15 @@ else: not on the estimators, the order of the cases, the number of workers or th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from hident.config.spec import Component, component
 
 Role = Literal["input", "noise", "estimator"]
+OfData = Literal["input", "noise"]
+ROLES_OF_DATA: tuple[OfData, ...] = get_args(OfData)
 # The numbers by which the streams are spawned: no other role may ever take one of them.
 _NUMBERS: dict[Role, int] = {"input": 1, "noise": 2, "estimator": 3}
 
@@ -22,8 +24,10 @@ _NUMBERS: dict[Role, int] = {"input": 1, "noise": 2, "estimator": 3}
 class StreamsSpec(Component):
     """Base of all sources of random numbers."""
 
-    fixed: tuple[Literal["input", "noise"], ...] = ()
+    fixed: tuple[OfData, ...] = ()
     """Streams that start anew in every trial: the same draws in all trials (e.g. [input])."""
+    share: tuple[OfData, ...] = ()
+    """Streams that all cases share: the same draws in all cases, another for each trial (e.g. [noise])."""
 
     def is_fixed(self, role: Role) -> bool:
         """Whether the role draws the same numbers in all trials."""

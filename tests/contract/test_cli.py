@@ -294,6 +294,22 @@ def test_failed_estimates_are_counted_shown_and_left_out_of_the_mean(lab: Lab) -
     assert "all 80 trials are stored" in lab.run()
 
 
+def test_means_that_hang_on_a_trial_are_said_and_change_no_table(lab: Lab) -> None:
+    lab.probe("value = 1.0 + 1e-3 * record.u[0]")
+    lab.configure(trials=25)
+    assert "hang" not in lab.run()
+    calm = (lab.folder / "out/tiny/table.md").read_text()
+    lab.probe("value = float(np.exp(30.0 * record.u[0]))")
+    lab.configure(trials=25)
+    said = lab.run()
+    assert "means hang on a single trial each (the first: a a_1 of estimator 'probe' at samples" in said
+    assert "% of the sum of squares); table.csv has the medians" in said
+    assert "hang" not in (lab.folder / "out/tiny/table.md").read_text() + calm
+    lab.probe("value = float(np.exp(31.0 * record.u[0]))")
+    lab.configure(trials=25)
+    assert lab.run("-q") == ""
+
+
 def test_a_changed_estimator_reruns_itself_and_nothing_else(lab: Lab) -> None:
     system = lab.config["system"]
     lab.probe("value *= 2  # twice")

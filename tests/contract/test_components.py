@@ -353,7 +353,7 @@ SETTINGS: list[tuple[Family, dict[str, Any]]] = [
     ("excitation", {"kind": "multistep", "switching_time": 5, "std": 1, "limits": [-2, 2]}),
     ("noise", {"kind": "ar", "a": [0.5], "nsr": 0.1}),
     ("noise", {"kind": "white", "distribution": "uniform", "half_width": 0.1}),
-    ("streams", {"kind": "numpy", "fixed": ["input"]}),
+    ("streams", {"kind": "numpy", "fixed": ["input"], "share": ["input", "noise"]}),
     ("metric", {"kind": "error", "of": ["a_1"], "estimators": ["k"]}),
     ("metric", {"kind": "mise", "interval": [-1, 1]}),
     ("basis", TRIGONOMETRIC),
@@ -367,6 +367,7 @@ SETTINGS: list[tuple[Family, dict[str, Any]]] = [
     ),
     ("table", {"kind": "grid", "title": "T", "rows": "n", "columns": [{"estimator": "k", "metric": "m"}]}),
     ("table", {"kind": "distance", "title": "T", "rows": "n", "cells": [CELL]}),
+    ("table", {"kind": "comparison", "title": "T", "metric": "m", "estimators": ["k", "l"], "best": "zero"}),
     ("figure", {"kind": "realisation", "estimators": ["k"], "interval": [-1, 1], "at": [{"n": 50}]}),
 ]
 

@@ -37,7 +37,9 @@ def test_every_number_that_leads_to_a_table_stands_there(page):
     assert [quotation for quotation in found if quotation[2]] == []
 
 
-@pytest.mark.parametrize(("paper", "least"), [("chen2009", 41), ("mzyk2009", 4), ("brouri", 4)])
+@pytest.mark.parametrize(
+    ("paper", "least"), [("chen2009", 41), ("mzyk2009", 4), ("brouri", 4), ("comparisons", 8)]
+)
 def test_the_pages_quote(paper, least):
     found = quotations((ROOT / "experiments" / paper / "README.md").read_text(encoding="utf-8"))
     assert sum(bool(_NUMBER.search(words)) for words, _ in found) >= least

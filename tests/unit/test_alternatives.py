@@ -12,6 +12,7 @@ from hident.engine.alternatives import alternative_plan, alternative_plans
 from hident.engine.experiment import load
 from hident.engine.results import Results, Series
 from hident.engine.runner import run
+from hident.engine.trial import generate
 from hident.errors import ConfigError
 from hident.ledger.mutation import measured, trials_of
 from hident.ledger.power import VerdictPower
@@ -50,6 +51,18 @@ def test_an_alternative_holds_what_it_changes_and_what_is_judged(tmp_path):
     # Nothing is printed beside the second estimator.
     with pytest.raises(ConfigError, match="changes no estimate that stands beside a printed number"):
         alternative_plan(plan, "more")
+
+
+def test_an_alternative_with_another_noise_level_has_the_noise_of_the_configuration(tmp_path):
+    plan = plan_with(tmp_path, "{loud: {noise.std: 2}}")
+    text = plan.path.read_text() + "noise: {kind: white, std: 1}\n"
+    for sharing in ("", "streams: {kind: numpy, share: [noise]}\n"):
+        plan.path.write_text(text + sharing)
+        shared = load(plan.path)
+        ours, theirs = shared.units[0].data, alternative_plan(shared, "loud").units[0].data
+        noises = [generate(data, 1, 3).y - data.before_noise(1, 3).y for data in (ours, theirs)]
+        assert np.allclose(2.0 * noises[0], noises[1], atol=1e-12) == bool(sharing)
+        assert ours.key != theirs.key
 
 
 def test_a_star_stands_for_every_entry_that_holds_the_rest(tmp_path):

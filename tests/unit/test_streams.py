@@ -14,9 +14,9 @@ from hident.config.spec import Of, Spec, canonical
 from hident.engine.trial import Data, Job, generate
 from hident.estimators.nonparametric.least_squares import LeastSquares
 from hident.metrics.values import Value
-from hident.signals import matlab5_streams  # noqa: F401  (registers the kind)
-from hident.signals.excitation import Filtered, Iid, Prbs
+from hident.signals.excitation import Filtered, Iid, Multistep, Prbs
 from hident.signals.matlab5 import Rand, Randn, twister
+from hident.signals.matlab5_streams import Matlab5Streams
 from hident.signals.noise import White
 from hident.signals.streams import NumpyStreams, Role, StreamsSpec
 from hident.systems.blocks import Hammerstein
@@ -72,7 +72,10 @@ def test_a_role_keeps_its_stream(role, number):
 
 
 def test_a_system_draws_nothing_and_has_no_stream():
-    assert refused(system={"state": 1}) == ("streams.system", "unknown key (allowed: fixed, input, noise)")
+    assert refused(system={"state": 1}) == (
+        "streams.system",
+        "unknown key (allowed: fixed, share, input, noise)",
+    )
     assert refused(fixed=["system"]) == ("streams.fixed.0", "must be 'input' or 'noise'")
 
 
@@ -81,6 +84,100 @@ def test_numpy_streams_start_anew_where_fixed():
     assert draws(streams, "input", 0) == draws(streams, "input", 1)
     assert draws(streams, "noise", 0) != draws(streams, "noise", 1)
     assert [role for role in ROLES if streams.is_fixed(role)] == ["input"]
+
+
+# --- shared by all cases
+
+
+def test_what_is_shared_belongs_to_the_hash_of_the_data_and_what_is_not_does_not():
+    assert canonical(NumpyStreams()) == {"kind": "numpy"}
+    assert canonical(NumpyStreams(share=("noise",))) == {"kind": "numpy", "share": ["noise"]}
+
+
+def test_a_given_state_cannot_be_shared():
+    assert refused(share=["input"], input={"state": 1}) == (
+        "streams",
+        "input starts from a given state, which all cases share: leave 'share' out",
+    )
+
+
+SHARED = Data(
+    samples=60,
+    system=Hammerstein(nonlinearity=Expression(expression="u + u**2"), linear=Ar(a=(0.5,))),
+    excitation=Iid(distribution="uniform", low=-1.0, high=1.0),
+    noise=(White(std=0.1),),
+    streams=NumpyStreams(share=("input", "noise")),
+)
+
+
+def changed(**fields):
+    return Data(**{name: getattr(SHARED, name) for name in Data.model_fields} | fields)
+
+
+def noise_of(data, trial):
+    """The noise (samples,) of a trial, of variance 1 before its level."""
+    (white,) = data.noise
+    return (generate(data, 1, trial).y - data.before_noise(1, trial).y) / white.std
+
+
+@pytest.mark.parametrize("streams", [NumpyStreams, Matlab5Streams])
+def test_only_what_is_shared_is_the_same(streams):
+    one, other = (
+        changed(noise=(White(std=s),), streams=streams(share=("noise",), fixed=("input",)))
+        for s in (0.1, 0.5)
+    )
+    np.testing.assert_allclose(noise_of(one, 3), noise_of(other, 3), atol=1e-13)
+    assert np.all(generate(one, 1, 3).u != generate(other, 1, 3).u)
+    both = changed(streams=streams(share=("input",), fixed=("input",)))
+    np.testing.assert_array_equal(generate(both, 1, 0).u, generate(both, 1, 7).u)
+    # The input is not the noise, and another seed is another of both.
+    assert abs(np.corrcoef(generate(SHARED, 1, 3).u, noise_of(SHARED, 3))[0, 1]) < 0.5
+    assert np.all(generate(SHARED, 2, 3).u != generate(SHARED, 1, 3).u)
+
+
+@pytest.mark.parametrize("trial", [0, 1, 7])
+def test_the_same_input_and_unit_noise_at_several_levels(trial):
+    loud = changed(noise=(White(std=0.5),))
+    assert SHARED.key != loud.key
+    np.testing.assert_array_equal(generate(SHARED, 1, trial).u, generate(loud, 1, trial).u)
+    np.testing.assert_allclose(noise_of(SHARED, trial), noise_of(loud, trial), atol=1e-13)
+    assert np.ptp(noise_of(SHARED, trial) - noise_of(SHARED, trial + 1)) > 0.1
+
+
+@pytest.mark.parametrize(
+    "excitation",
+    [
+        Iid(distribution="uniform", low=-1.0, high=1.0),
+        Iid(distribution="gaussian", std=2.0),
+        Multistep(switching_time=7.0, std=1.0),
+        Prbs(order=5),
+        Filtered(excitation=Iid(distribution="gaussian", std=1.0), linear=Ar(a=(0.5,))),
+    ],
+    ids=lambda one: one.kind,
+)
+def test_a_longer_record_begins_with_the_input_and_noise_of_a_shorter_one(excitation):
+    short, long = (changed(excitation=excitation, samples=n) for n in (60, 200))
+    np.testing.assert_allclose(generate(long, 1, 2).u[:60], generate(short, 1, 2).u, rtol=1e-12)
+    np.testing.assert_allclose(noise_of(long, 2)[:60], noise_of(short, 2), atol=1e-12)
+
+
+def test_another_system_has_the_same_input():
+    other = changed(system=Hammerstein(nonlinearity=Expression(expression="u"), linear=Fir(b=(1.0, 0.5))))
+    np.testing.assert_array_equal(generate(SHARED, 1, 3).u, generate(other, 1, 3).u)
+
+
+def test_without_sharing_the_cases_differ():
+    plain, loud = (changed(streams=NumpyStreams(), noise=(White(std=s),)) for s in (0.1, 0.5))
+    assert np.all(generate(plain, 1, 0).u != generate(loud, 1, 0).u)
+
+
+def test_shared_data_depend_on_their_own_case_seed_and_trial_alone():
+    alone = generate(SHARED, 1, 5)
+    generate(changed(noise=(White(std=0.5),)), 1, 4)
+    jobs = [Job(LeastSquares(order=1), (Value(of=("a_1",)),))]
+    *_, last = tried(SHARED, jobs, {3: [0], 4: [0], 5: [0]}, 1)
+    assert last.values.tolist() == [LeastSquares(order=1).fit(alone).values["a_1"]]
+    np.testing.assert_array_equal(generate(SHARED, 1, 5).y, alone.y)
 
 
 # --- matlab5

@@ -96,6 +96,16 @@ tables:
 """
 
 
+def test_a_rate_over_cases_that_share_random_numbers_says_so(tmp_path):
+    rest = RATE.replace("ROOT", "false").replace("EXPECTED", "-1")
+    values = {("one", str(n)): np.array([0.9, 1.0, 1.1]) / n for n in (10, 100, 1000)}
+    shared = made(tmp_path, values, rest=rest + "streams: {kind: numpy, share: [noise]}\n")
+    assert built(shared).notes == (
+        "The cases share random numbers, and the standard errors take them as independent.",
+    )
+    assert built(made(tmp_path, values, rest=rest)).notes == ()
+
+
 @pytest.mark.parametrize(("root", "slope"), [("false", -0.8), ("true", -0.4)])
 def test_a_rate_is_found_within_its_standard_error(tmp_path, root, slope):
     rng = np.random.default_rng(3)

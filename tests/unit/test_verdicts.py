@@ -124,6 +124,16 @@ def test_a_number_agrees_that_some_alternative_would_not_give(tmp_path):
         judged(tmp_path, "11.5", more=more)
 
 
+def test_cases_that_share_random_numbers_are_judged_together(tmp_path):
+    numbers = "".join(f"T,N={n},error,11.5,\n" for n in (10, 100, 1000))
+    values = {("one", str(n)): TRIALS + n for n in (10, 100, 1000)}
+    for share, groups in (("[]", [0, 1, 2]), ("[noise]", [0, 0, 0])):
+        more = f"streams: {{kind: numpy, share: {share}}}\n"
+        rest = PUBLISHED.format(runs=1, statistic="mean") + more
+        found = judge(made(tmp_path, values, rest=rest, printed=numbers))
+        assert [verdict.group for verdict in found] == groups
+
+
 def test_of_the_papers_own_data_digits_are_equal_or_differ(tmp_path):
     mean = float(TRIALS.mean())
 

@@ -16,6 +16,8 @@ from hident.ledger.verdicts import Verdict
 from hident.reports.base import Table, TableSpec
 from hident.reports.tables.writing import written
 
+_SHARED = "The cases share random numbers, and the standard errors take them as independent."
+
 
 @component("table", "rate")
 class Rate(TableSpec):
@@ -51,6 +53,7 @@ class Rate(TableSpec):
             data["expected"] = self.expected
             data["deviation"] = (data["slope"] - self.expected) / data["standard_error"]
         titles = {"standard_error": "standard error", "deviation": "deviation / standard error"}
+        shared = any(one.unit.data.streams.share for group in groups.values() for one in group)
         return Table(
             self.title,
             tuple(titles.get(str(name), str(name)) for name in data.columns),
@@ -58,6 +61,7 @@ class Rate(TableSpec):
                 tuple(v if isinstance(v, str) else written(float(v)) for v in row)
                 for row in data.itertuples(index=False)
             ),
+            notes=(_SHARED,) if shared else (),
             data=data,
             statistic=f"slope of the logarithm of the {self.statistic} ± its standard error",
             heads=list(data.columns).index("slope"),

@@ -1,0 +1,437 @@
+"""Tables of kind comparison, and the figures of them."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hident import plugins
+from hident.config.spec import components
+from hident.errors import ConfigError
+from hident.ledger.verdicts import judge
+from hident.metrics.base import MetricSpec
+from hident.reports.output import check
+from hident.reports.style import style
+from tests.unit.plans import planned, refusals
+from tests.unit.results_maker import made
+
+NAN = float("nan")
+TABLE = """\
+tables:
+  t: {kind: comparison, title: C, metric: mise OPTIONS}
+"""
+THIRD = "  three: {kind: kernel, kernel: epanechnikov, bandwidth: {h0: 1, alpha: 1/5}}\n"
+ALL = "  all: {kind: mise, interval: [-1, 1]}\n"
+
+
+def table(options=""):
+    return TABLE.replace("OPTIONS", f", {options}" if options else "")
+
+
+def built(results, name="t"):
+    return results.plan.experiment.tables[name].build(results, judge(results))
+
+
+def cells(table, *columns):
+    places = [table.header.index(column) for column in columns]
+    return [tuple(row[place] for place in places) for row in table.rows]
+
+
+def scores(n, seed=1):
+    return np.random.default_rng(seed).uniform(1.0, 2.0, n)
+
+
+# --- pairs
+
+
+def test_a_pair_has_its_difference_with_an_interval_its_wins_and_a_test(tmp_path):
+    one = scores(12)
+    values = {("one", "10"): one, ("two", "10"): one + np.linspace(0.5, 1.5, 12)}
+    found = built(made(tmp_path, values, rest=table()))
+    assert found.header == (
+        *("samples", "first", "second", "mean difference [95 %]", "wins", "p", "better", "ranks"),
+    )
+    # sd of 12 even steps 0.328, times t = 2.201, over sqrt(12).
+    assert found.rows[0] == ("10", "one", "two", "-1.00 [-1.21, -0.792]", "100 %", "0.0015", "one", "1, 2")
+    # All others are ones.
+    assert found.rows[1] == ("100", "one", "two", "0 [0, 0]", "50 %", "1.0", "tied", "1, 1")
+    assert found.notes == (
+        "Mean of first less second in the same trials, with a 95 % interval for each pair by itself. Wins: "
+        "trials in which the first has the mise that is lower, ties counting half.",
+        "Better: by Wilcoxon's signed-rank test of the differences at 5 %, adjusted by Holm over the 3 tests "
+        "of this table.",
+        "Rank: one more than the number of methods that are better in that case.",
+    )
+
+
+def test_all_numbers_are_in_the_csv(tmp_path):
+    values = {("one", "10"): [1.0, 2.0, NAN, NAN, 5.0], ("two", "10"): [2.0, 2.0, 1.0, NAN, 3.0]}
+    row = built(made(tmp_path, values, rest=table())).data.iloc[0]
+    assert [row[name] for name in ("wins", "ties", "losses")] == [1, 2, 2]
+    assert [row[name] for name in ("failed_first", "failed_second", "failed_both")] == [2, 1, 1]
+    assert row["estimate"] == pytest.approx((-1.0 + 0.0 + 2.0) / 3.0)
+    assert (row["rank_first"], row["rank_second"], row["better"]) == (1, 1, "")
+
+
+def test_failures_are_losses_and_are_said(tmp_path):
+    one = scores(12)
+    values = {("one", "10"): one, ("two", "10"): np.where(np.arange(12) < 10, NAN, one - 0.1)}
+    found = built(made(tmp_path, values, rest=table()))
+    assert cells(found, "wins", "better")[0] == ("83 %", "one")
+    assert found.notes[3] == (
+        "Failed trials: two 10 of 36 in 1 of 3 cases. They count as lost against a method that did not fail, "
+        "and as tied where both failed, and are left out of means."
+    )
+    # The two trials that are left speak for the other.
+    assert found.notes[4] == (
+        "The mean points to the other method than the test: one and two at samples 10 have "
+        "one method that wins most trials and another that is better on average."
+    )
+    median = built(made(tmp_path, values, rest=table("statistic: median")))
+    assert cells(median, "median difference [95 %]")[0] == ("-inf [-inf, -inf]",)
+    assert median.notes[3].endswith("as tied where both failed, and are infinite in medians.")
+    ranked = built(made(tmp_path, values, rest=table("statistic: median, show: ranks")))
+    assert ranked.notes[3].endswith("as tied where both failed, and are left out in brackets.")
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "shown"),
+    [
+        ([1.0], [2.0], ("-1.00", "100 %", "1.0", "tied")),
+        ([1.0], [1.0], ("0", "50 %", "1.0", "tied")),
+        ([NAN], [1.0], ("-", "0 %", "1.0", "tied")),
+        ([NAN], [NAN], ("-", "50 %", "1.0", "tied")),
+        ([1.0, 1.0], [2.0, 3.0], ("-1.50 [-7.85, 4.85]", "100 %", "1.0", "tied")),
+        ([1.0, 1.0], [2.0, 2.0], ("-1.00 [-1.00, -1.00]", "100 %", "1.0", "tied")),
+        ([NAN, NAN], [1.0, 1.0], ("-", "0 %", "1.0", "tied")),
+    ],
+)
+@pytest.mark.parametrize("of", ["difference", "log_ratio"])
+def test_few_trials_have_text_that_makes_sense(tmp_path, first, second, shown, of):
+    results = made(tmp_path, {("one", "10"): first, ("two", "10"): second}, rest=table(f"of: {of}"))
+    found = built(results)
+    assert found.rows[0][4:7] == shown[1:]
+    if of == "difference":
+        assert found.rows[0][3] == shown[0]
+    count = "One trial tells" if len(first) == 1 else "2 trials tell"
+    assert f"{count} no two methods apart, whatever they give: 3 tests take at least 7." in found.notes
+    assert built(made(tmp_path, {("one", "10"): first}, rest=table("statistic: median"))).rows
+
+
+def test_enough_trials_are_not_complained_of(tmp_path):
+    values = {("one", "10"): scores(7)}
+    assert not any("take at least" in note for note in built(made(tmp_path, values, rest=table())).notes)
+
+
+def test_ratios_are_shown_as_such(tmp_path):
+    one = scores(12)
+    values = {("one", "10"): one, ("two", "10"): 2.0 * one}
+    found = built(made(tmp_path, values, rest=table("of: log_ratio")))
+    assert cells(found, "geometric mean ratio [95 %]")[0] == ("0.500 [0.500, 0.500]",)
+    assert found.data.iloc[0]["estimate"] == pytest.approx(-np.log(2.0))
+
+
+def test_ratios_that_do_not_exist_are_said(tmp_path):
+    values = {("one", "10"): [0.0, *scores(11)], ("two", "10"): 2.0 + scores(12, 2)}
+    found = built(made(tmp_path, values, rest=table("of: log_ratio")))
+    assert found.rows[0][3:7] == ("-", "100 %", "-", "tied")
+    assert "adjusted by Holm over the 2 tests" in found.notes[1]
+    assert found.notes[3] == (
+        "A value that is not positive has no logarithm: one and two at samples 10 have no ratio and no test. "
+        "Take 'of: difference' there."
+    )
+
+
+def test_a_mean_that_hangs_on_a_trial_is_said(tmp_path):
+    values = {("one", "10"): np.r_[scores(29), 100.0], ("two", "10"): scores(30, 2)}
+    said = [note for note in built(made(tmp_path, values, rest=table())).notes if "single trial" in note]
+    assert said == [
+        "A single trial makes more than half of the spread: one and two at samples 10 have a mean and an "
+        "interval that hang on it; the median does not."
+    ]
+    assert not any(
+        "single trial" in note
+        for note in built(made(tmp_path, values, rest=table("statistic: median"))).notes
+    )
+
+
+def test_the_family_is_the_whole_table(tmp_path):
+    one = scores(7)
+    values = {("one", n): one for n in ("10", "100", "1000")} | {("two", "10"): one + scores(7, 2)}
+    found = built(made(tmp_path, values, rest=table()))
+    # 2/128, three times; the others are ones against other numbers.
+    assert cells(found, "p")[0] == ("0.047",)
+    alone = built(made(tmp_path, values, rest=table("at: {samples: 10}")))
+    assert cells(alone, "p") == [("0.016",)]
+
+
+# --- ranks
+
+
+def three(tmp_path, values, options):
+    rest = ALL + table(options).replace("mise", "all")
+    return made(tmp_path, values, rest=rest, estimators=THIRD)
+
+
+@pytest.mark.parametrize(
+    ("further", "rank", "second_is"), [(0.4, "2", "tied"), (0.8, "3", "two")], ids=["tied with one", "last"]
+)
+def test_methods_that_no_test_tells_apart_share_a_rank(tmp_path, further, rank, second_is):
+    base, noise = scores(20), np.random.default_rng(5).normal(0.0, 0.3, (2, 20))
+    values = {
+        ("one", "10"): base,
+        ("two", "10"): base + 0.12 + noise[0],
+        ("three", "10"): base + further + noise[1],
+    }
+    results = three(tmp_path, values, "show: ranks, at: {samples: 10}")
+    found = built(results)
+    assert found.header == ("samples", "one", "two", "three")
+    assert [cell.split()[0] for cell in found.rows[0][1:]] == ["1", "1", rank]
+    pairs = built(three(tmp_path, values, "at: {samples: 10}"))
+    assert cells(pairs, "first", "second", "better", "ranks") == [
+        ("one", "two", "tied", "1, 1"),
+        ("one", "three", "one", f"1, {rank}"),
+        ("two", "three", second_is, f"1, {rank}"),
+    ]
+    assert found.rows[0][1] == f"1 ({np.mean(base):.2f})"
+
+
+def test_equal_methods_share_a_rank(tmp_path):
+    one = scores(12)
+    values = {("one", "10"): one, ("two", "10"): one * (1.0 + 1e-12), ("three", "10"): one + 1.0}
+    found = built(three(tmp_path, values, "show: ranks, at: {samples: 10}"))
+    assert [cell.split()[0] for cell in found.rows[0][1:]] == ["1", "1", "3"]
+
+
+def test_a_reference_is_compared_with_all_others(tmp_path):
+    found = built(three(tmp_path, {}, "reference: two, at: {samples: 10}"))
+    assert cells(found, "first", "second") == [("one", "two"), ("three", "two")]
+    assert "ranks" not in found.header
+    assert "rank_first" not in found.data
+
+
+def test_an_estimator_that_is_left_out_has_no_row_there(tmp_path):
+    rest = "skip: [{samples: 10, estimator: three}, {samples: 100, estimator: [one, three]}]\n"
+    results = made(tmp_path, {}, rest=ALL + rest + table().replace("mise", "all"), estimators=THIRD)
+    assert cells(built(results), "samples", "first", "second") == [
+        ("10", "one", "two"),
+        ("1000", "one", "two"),
+        ("1000", "one", "three"),
+        ("1000", "two", "three"),
+    ]
+    rest += table("show: ranks").replace("mise", "all")
+    ranked = built(made(tmp_path, {}, rest=ALL + rest, estimators=THIRD))
+    assert [row[-1] for row in ranked.rows] == ["-", "1 (1.00)"]
+
+
+def test_without_axes_there_is_one_case(tmp_path):
+    found = built(made(tmp_path, {}, rest=table("at: {samples: 100}")))
+    assert len(found.rows) == 1
+
+
+# --- messages
+
+NO_SCORES = {
+    *("value", "true_value", "share", "coverage", "nonlinearity_value", "settling_time", "moved_delay"),
+    *("response", "true_response", "residual_test", "disturbance_variance", "disturbance_variance_formula"),
+}
+
+
+def test_every_metric_says_which_values_are_good_or_is_known_to_be_no_score():
+    plugins.load()
+    own = {
+        kind: cls for kind, cls in components("metric").items() if cls.__module__.startswith("hident.metrics")
+    }
+    assert {
+        kind for kind, cls in own.items() if issubclass(cls, MetricSpec) and cls.best is None
+    } == NO_SCORES
+
+
+CONFIG = """\
+version: 1
+title: T
+trials: TRIALS
+samples: 50
+system:
+  kind: hammerstein
+  nonlinearity: {kind: polynomial, coefficients: [0, 1, 2]}
+  linear: {kind: fir, b: [0, 0.6, -0.8]}
+excitation: &uniform {kind: iid, distribution: uniform, low: -3, high: 3}
+noise: {kind: white, std: $s}
+streams: {kind: numpy, share: SHARE}
+cases: {s: [CASES]}
+estimators:
+  a: {kind: two_stage, lags: 2, degree: 2}
+  b: {kind: bilinear_least_squares, lags: 2, degree: 2}
+  c: {kind: two_stage, lags: 2, degree: 3}
+metrics:
+  error: {kind: validation_error, excitation: *uniform, samples: 100}
+  a_1: {kind: value, of: [a_1]}
+  signed: {kind: error, of: [a_1]}
+  two: {kind: validation_error, excitation: *uniform, samples: 99, estimators: [a, b]}
+  one: {kind: validation_error, excitation: *uniform, samples: 98, estimators: [a]}
+REST
+"""
+
+
+def config(rest, cases="0.1, 0.2", trials="2", share="[]"):
+    words = {"REST": rest, "CASES": cases, "TRIALS": trials, "SHARE": share}
+    text = CONFIG
+    for old, new in words.items():
+        text = text.replace(old, new)
+    return text
+
+
+RATE = "  g: {kind: rate, title: R, axis: s, metric: error, estimators: [a]}\n"
+
+
+def said(folder, table="", figure="", **words):
+    rest = f"tables:\n  t: {{kind: comparison, title: T, {table}}}\n{RATE}"
+    rest += f"figures:\n  f: {{{figure}}}\n" if figure else ""
+    text = config(rest, **words)
+    if lines := refusals(folder, text):
+        return lines
+    try:
+        check(planned(folder, text))
+    except ConfigError as error:
+        return str(error).replace(f"{folder}/", "").splitlines()
+    return []
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("metric: error", None),
+        ("metric: signed a_1", None),
+        (
+            "metric: a_1 a_1",
+            "'a_1 a_1' does not say which of its values are good: set 'best' to lowest, highest or zero",
+        ),
+        ("metric: a_1 a_1, best: highest", None),
+        ("metric: one", "no case holds two methods to compare (there are: a)"),
+        ("metric: error, estimators: [a]", "must name at least two"),
+        ("metric: error, estimators: [a, b, a]", "names a twice"),
+        ("metric: error, estimators: [a, d]", "there is no estimator 'd'"),
+        ("metric: two, estimators: [a, c]", "the metric 'two' does not score the estimator 'c'"),
+        (
+            "metric: error, reference: c, estimators: [a, b]",
+            "the reference 'c' must be one of the estimators",
+        ),
+        (
+            "metric: error, reference: a, show: ranks",
+            "ranks need each method against each: leave out 'reference', or show pairs",
+        ),
+        ("metric: error, equal: 1", "must be less than 1"),
+        ("metric: eror", "there is no metric 'eror'; did you mean 'error'?"),
+    ],
+)
+def test_what_cannot_be_compared_is_said_before_the_run(tmp_path, table, message):
+    lines = said(tmp_path, table)
+    assert (not lines) if message is None else any(message in line for line in lines), lines
+
+
+@pytest.mark.parametrize(
+    ("fixed", "trials", "refused"),
+    [("[input, noise]", "2", True), ("[input, noise]", "1", False), ("[input]", "2", False)],
+)
+def test_trials_that_are_one_record_are_refused(tmp_path, fixed, trials, refused):
+    lines = said(tmp_path, "metric: error", share=f"[], fixed: {fixed}", trials=trials)
+    wanted = (
+        "all trials at s 0.1 are one record, as 'streams' fixes input and noise, and no test tells anything "
+        "from one: let one of them vary, or set 'trials: 1'"
+    )
+    assert [line.partition("metric: ")[2].startswith(wanted) for line in lines] == [True] * refused
+
+
+# --- figures
+
+
+@pytest.mark.parametrize(
+    ("figure", "words", "message"),
+    [
+        ("kind: paired_differences, table: t, x_label: x", {}, None),
+        (
+            "kind: paired_differences, table: g, x_label: x",
+            {},
+            "the table 'g' must be of kind comparison, not rate",
+        ),
+        (
+            "kind: critical_differences, table: t",
+            {"cases": "1, 2, 3, 4, 5, 6, 7, 8, 9"},
+            "averages ranks over at least 10 cases, and 9 of the table 't' hold all 3 methods",
+        ),
+        ("kind: critical_differences, table: t", {"cases": "1, 2, 3, 4, 5, 6, 7, 8, 9, 10"}, None),
+        (
+            "kind: critical_differences, table: t",
+            {"cases": "1, 2, 3, 4, 5, 6, 7, 8, 9, 10", "share": "[noise]"},
+            "takes the cases as independent, and they share random numbers: leave out 'streams.share'",
+        ),
+        (
+            "kind: critical_differences, table: t",
+            {"table": "metric: two", "cases": "1, 2, 3, 4, 5, 6, 7, 8, 9, 10"},
+            "ranks at least 3 methods, and the table 't' has 2: its rows tell two apart",
+        ),
+    ],
+)
+def test_what_a_figure_cannot_show_is_said_before_the_run(tmp_path, figure, words, message):
+    lines = said(tmp_path, words.pop("table", "metric: error"), figure, **words)
+    assert (not lines) if message is None else any(message in line for line in lines), lines
+
+
+def drawn(results, name="f"):
+    with style():
+        figure = results.plan.experiment.figures[name].draw(results, [])
+        figure.canvas.draw()
+    return figure
+
+
+PAIRED = table("OF") + "figures:\n  f: {kind: paired_differences, table: t, x_label: Difference of MISE}\n"
+
+
+@pytest.mark.parametrize("of", ["of: difference", "of: log_ratio", "statistic: median"])
+def test_paired_differences_show_trials_intervals_and_failures(tmp_path, of):
+    one = scores(12)
+    values = {("one", "10"): one, ("two", "10"): np.r_[NAN, NAN, one[2:] + 0.5]}
+    figure = drawn(made(tmp_path, values, rest=PAIRED.replace("OF", of)))
+    (axes,) = (axes for axes in figure.axes if axes.get_visible())
+    lines: dict[str, list[Any]] = {}
+    for line in axes.get_lines():
+        lines.setdefault(str(line.get_label()), []).append(line)
+    expected = np.log(one[2:] / (one[2:] + 0.5)) if of == "of: log_ratio" else np.full(10, -0.5)
+    shown = lines["a trial"][0].get_xdata()
+    np.testing.assert_allclose(np.log(shown) if of == "of: log_ratio" else shown, expected)
+    assert len(lines["a trial"]) == 3
+    statistic = {"statistic: median": "median", "of: log_ratio": "geometric mean"}.get(of, "mean")
+    assert len(lines[f"{statistic}, 95 % interval; told apart"]) == 1
+    assert len(lines[f"{statistic}, 95 % interval; tied"]) == 2
+    assert [text.get_text() for text in axes.texts] == ["0, 2 failed"]
+    assert [tick.get_text() for tick in axes.get_yticklabels()] == [f"samples {n}" for n in (10, 100, 1000)]
+    assert axes.get_title() == ("one / two" if of == "of: log_ratio" else "one \N{MINUS SIGN} two")
+
+
+@pytest.mark.parametrize("values", [[1.0], [NAN], [NAN, NAN], [0.0, 0.0]])
+@pytest.mark.parametrize("of", ["of: difference", "of: log_ratio", "statistic: median"])
+def test_paired_differences_of_next_to_nothing_are_drawn(tmp_path, values, of):
+    rest = PAIRED.replace("OF", of)
+    drawn(made(tmp_path, {(name, n): values for name in ("one", "two") for n in ("10", "100")}, rest=rest))
+    drawn(made(tmp_path, {("one", "10"): values}, rest=rest))
+
+
+def test_critical_differences_join_what_is_not_told_apart(tmp_path):
+    axes = f"  pole:\n{''.join(f'    p{i}: {{system.linear.a: [0.{i}]}}{chr(10)}' for i in range(1, 5))}"
+    rest = ALL + table().replace("mise", "all") + "figures:\n  f: {kind: critical_differences, table: t}\n"
+    one = scores(5)
+    samples = ("10", "100", "1000")
+    values = {("one", n): one for n in samples} | {("two", n): one for n in samples}
+    values |= {("three", n): [NAN, NAN, NAN, 0.0, 0.0] for n in samples}
+    results = made(tmp_path, values, rest=rest, estimators=THIRD, axes=axes)
+    spec: Any = results.plan.experiment.figures["f"]
+    found, failed = spec.scores(results)
+    # The median of a method that fails in most trials is the worst.
+    assert found.tolist() == [[np.median(one), np.median(one), np.inf]] * 12
+    assert failed == {"one": 0, "two": 0, "three": 36}
+    texts = [text.get_text().strip() for text in drawn(results).axes[0].texts]
+    assert {"one (1.50)", "two (1.50)", "three (3.00), 36 failed", "critical difference 0.96"} <= set(texts)
+    (axes,) = drawn(results).axes
+    bars = [line for line in axes.get_lines() if line.get_linewidth() > 3.0]
+    assert [np.round(bar.get_xdata(), 2).tolist() for bar in bars] == [[1.46, 1.54]]
