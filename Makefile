@@ -5,6 +5,9 @@ BIN := $(VENV)/bin
 # Of each configuration, for `make arithmetics`.
 TRIALS ?= 20
 CONFIGS := $(sort $(wildcard configs/*.yaml))
+# Those whose alternatives take seconds.
+QUICK := brouri_nonlinearity brouri_order chen_example6 chen_table3 chen_text chen_vif mzyk_left_out mzyk_reduction \
+  mzyk_table1 mzyk_table1_as_printed mzyk_table1_grid mzyk_variance wang_table1 wang_table2
 
 # Hundreds of processes start: without cached bytecode each takes a third longer.
 unexport PYTHONDONTWRITEBYTECODE
@@ -33,10 +36,14 @@ reproduce-all: $(VENV)/ready ## Run every configuration, compare with results/, 
 	@echo
 	@$(BIN)/hident compare out results --complete
 
-reproduce-part: $(VENV)/ready ## Run at most 20 trials of every configuration, and compare them with results/
-	@$(BIN)/hident run $(CONFIGS) --at-most 20
+reproduce-part: $(VENV)/ready ## Run at most 12 trials of every configuration and the quick alternatives, and compare
+	@$(BIN)/hident run $(CONFIGS) --at-most 12
 	@echo
 	@$(BIN)/hident compare out results --complete --partial
+	@echo
+	@$(BIN)/hident power $(QUICK)
+	@echo
+	@$(BIN)/hident compare out/power results/power
 	@echo
 	@$(BIN)/hident verify results --complete
 

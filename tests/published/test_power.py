@@ -18,8 +18,8 @@ CONFIGS = sorted(
     if re.search(r"^published:", path.read_text(encoding="utf-8"), re.MULTILINE)
 )
 HEADER = (
-    "| table | configuration | numbers | exact | agrees | untestable | differs | joint p | mutation score |\n"
-    "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |\n"
+    "| table | configuration | numbers | exact | agrees | wide | untestable | differs | joint p | mutation score |\n"
+    "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |\n"
 )
 PAPERS = {"mzyk": "Mzyk", "wang": "Wang", "chen": "Chen", "brouri": "Brouri"}
 WORDS = ("exact", "agrees", "untestable", "differs")
@@ -32,9 +32,11 @@ def state():
 
 def shown(table):
     counts = [table.counts.get(word, 0) for word in WORDS]
+    numbers = sum(counts)
+    counts.insert(2, table.wide)
     p = "-" if math.isnan(table.joint_p) else f"{table.joint_p:.2g}"
     paper = PAPERS[table.config.partition("_")[0]]
-    cells = (f"{paper}, {table.table}", f"`{table.config}`", sum(counts), *counts, p)
+    cells = (f"{paper}, {table.table}", f"`{table.config}`", numbers, *counts, p)
     return f"| {' | '.join(map(str, cells))} | {table.score} |\n"
 
 
