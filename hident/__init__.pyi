@@ -59,6 +59,8 @@ from hident.linear_blocks import ContinuousTransferFunction as ContinuousTransfe
 from hident.linear_blocks import TransferFunction as TransferFunction
 from hident.measurements.first_look import first_look as first_look
 from hident.measurements.measured_record import MeasuredRecord as MeasuredRecord, read as read
+from hident.metrics.block_responses import FrequencyResponseError as FrequencyResponseError
+from hident.metrics.block_responses import ImpulseResponseError as ImpulseResponseError
 from hident.metrics.disturbance import DisturbanceVariance as DisturbanceVariance
 from hident.metrics.disturbance import DisturbanceVarianceFormula as DisturbanceVarianceFormula
 from hident.metrics.fit import FitIndex as FitIndex, Mae as Mae, Nrmse as Nrmse, Rmse as Rmse

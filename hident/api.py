@@ -36,7 +36,7 @@ from hident.engine.fingerprint import without_source
 from hident.engine.preflight import check_records
 from hident.engine.results import Results
 from hident.engine.store import Store, TrialStore
-from hident.engine.trial import Data, Job, generate
+from hident.engine.trial import Data, Job, generate, scoring_of
 from hident.engine.work import Terms
 from hident.errors import ConfigError
 from hident.estimators.base import EstimatorSpec
@@ -199,7 +199,12 @@ def fit(estimator: EstimatorSpec | Written, record: Record, *, seed: int = 1, tr
         return spec.fit(record, rng)
 
 
-def score(estimate: Estimate, record: Record, **metrics: MetricSpec | Written) -> dict[str, float]:
+def score(
+    estimate: Estimate,
+    record: Record,
+    estimator: EstimatorSpec | Written | None = None,
+    **metrics: MetricSpec | Written,
+) -> dict[str, float]:
     """The numbers that metrics give an estimate, by their labels.
 
     Parameters
@@ -207,9 +212,11 @@ def score(estimate: Estimate, record: Record, **metrics: MetricSpec | Written) -
     estimate : Estimate
         From :func:`fit`.
     record : Record
-        What it was estimated from, with the truth if a metric compares with it. Absolute values are
-        compared as they stand: no data determine the factor between the blocks, and here nobody checks that
-        the system keeps the estimator's rule for it, as a run does.
+        What it was estimated from, with the truth if a metric compares with it.
+    estimator : optional
+        What made the estimate. No data determine the factor between the blocks: with the estimator the truth
+        is brought to the form that its rule asks for, as a run does it; without, absolute values are compared
+        as they stand, unless a metric's ``up_to`` says otherwise.
     **metrics
         Metrics, by the names that the labels begin with.
 
@@ -231,15 +238,31 @@ def score(estimate: Estimate, record: Record, **metrics: MetricSpec | Written) -
     >>> estimate = hi.fit(hi.KnownDynamics(a=[0.75]), record)
     >>> hi.score(estimate, record, a=hi.Error(of=["a_1"]), gain={"kind": "value", "of": ["b_0"]})
     {'a a_1': 0.25, 'gain b_0': 1.0}
+    >>> system = hi.Hammerstein(nonlinearity="identity", linear=hi.Fir(b=[0, 6, 8]))
+    >>> record = hi.simulate(system, hi.Iid(distribution="uniform", low=-3, high=3), 500)
+    >>> two_stage = hi.TwoStage(lags=2, degree=1)
+    >>> error = hi.NonlinearityPercentError(interval=[-1, 1])
+    >>> round(hi.score(hi.fit(two_stage, record), record, two_stage, error=error)["error"], 6)
+    0.0
     """
+    spec: EstimatorSpec | None = (
+        None if estimator is None else _made(Of("estimator").validate, estimator, "estimator")
+    )
     scores: dict[str, float] = {}
     for name, written in metrics.items():
         metric: MetricSpec = _made(Of("metric").validate, written, name)
         named = f"{name}: the metric '{metric.kind}'"
         _require(named, "truth", metric.needs_of_truth(), _truth(record))
         _require(named, "estimate", metric.needs_of_estimate(), estimate.provides())
+        seen = record
+        if spec is not None and record.truth is not None:
+            try:
+                metric, as_seen = scoring_of(metric, spec, record.truth, record.dt)
+            except ValueError as error:
+                raise ConfigError(f"{named} cannot compare with this system: {error}") from None
+            seen = as_seen(record)
         with _as_in_a_run():
-            values = metric.evaluate(estimate, record)
+            values = metric.evaluate(estimate, seen)
         scores |= zip(metric.labels(name), map(float, values), strict=True)
     return scores
 

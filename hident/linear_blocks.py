@@ -122,6 +122,15 @@ class TransferFunction:
         top, bottom = (_sum(np.asarray(c, dtype=float)) for c in (self.b, self.denominator))
         return top / bottom if bottom else math.inf
 
+    def scaled(self, gain: float) -> TransferFunction:
+        """The block with its output multiplied by ``gain``."""
+        return TransferFunction(tuple(gain * b for b in self.b), self.a)
+
+    def frequency_response(self, omega: Array, dt: float = 1.0) -> Complex:
+        """The complex gain at angular frequencies ``omega`` (any shape), radians per unit of time."""
+        delay = np.exp(-1j * np.asarray(omega, dtype=float) * dt)
+        return np.asarray(np.polyval(self.b[::-1], delay) / np.polyval(self.denominator[::-1], delay))
+
     def inverse(self) -> TransferFunction:
         """The block A/B that undoes this one.
 

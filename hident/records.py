@@ -25,6 +25,8 @@ ModelPart = Literal[
 """A part of an estimate that is no value."""
 Response = Callable[[Array, float], Array]
 """The noise-free output (N,) to an input (N,), given the sampling interval."""
+Structure = Literal["N-L", "L-N", "L-N-L"]
+"""The blocks of a system from its input to its output: static nonlinearities N and linear blocks L."""
 LeftOut = Callable[[float, float], tuple[Array, Array]]
 """The inputs from low to high among the samples that a nonlinearity was estimated from, in increasing order,
 and the estimate at each without its own sample."""
@@ -99,7 +101,10 @@ class Truth:
     ``linear`` is the linear block in discrete time, ``continuous`` that in continuous time, ``response``
     the whole system. ``values`` are the true parameters by name (``a_1``, ``b_0``, ...). ``breakpoints``
     are the points at which the nonlinearity or its derivative jumps, in increasing order. ``blocks`` are
-    the linear blocks in continuous time where there are several, by their place: ``input`` and ``output``.
+    the linear blocks in continuous time where there are several, by their place: ``input`` and ``output``;
+    ``discrete_blocks`` those in discrete time. Of a system of blocks in series ``structure`` is their order,
+    and ``rescaled`` takes what each is to be divided by, by its place (``linear``, ``nonlinearity``,
+    ``input``, ``output``), and gives the truth of the same system, the others multiplied by as much.
     """
 
     nonlinearity: Characteristic | None = None
@@ -109,6 +114,9 @@ class Truth:
     blocks: Mapping[str, ContinuousTransferFunction] = field(default_factory=dict)
     values: Mapping[str, float] = field(default_factory=dict)
     breakpoints: tuple[float, ...] = ()
+    discrete_blocks: Mapping[str, TransferFunction] = field(default_factory=dict)
+    structure: Structure | None = None
+    rescaled: Callable[[Mapping[str, float]], Truth] | None = None
 
     def provides(self) -> frozenset[str]:
         """The parts that it holds: ``nonlinearity``, ``linear``, ``response``, ``value NAME``..."""

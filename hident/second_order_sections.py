@@ -75,6 +75,15 @@ class SecondOrderSections(TransferFunction):
         found = math.prod(gains)
         return super().static_gain() if math.isnan(found) else found
 
+    def scaled(self, gain: float) -> SecondOrderSections:
+        first, *others = self.sections
+        b, bottom = tuple(gain * one for one in first[:3]), first[3:]
+        return SecondOrderSections.of([(*b, *bottom), *others])
+
+    def frequency_response(self, omega: Array, dt: float = 1.0) -> Complex:
+        responses = [block.frequency_response(omega, dt) for block in self._blocks()]
+        return np.asarray(np.prod(responses, axis=0))
+
     def filter(self, w: Array, initial: Array | None = None) -> Array:
         """The response to ``w`` (N,) from rest.
 

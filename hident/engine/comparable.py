@@ -1,20 +1,20 @@
-"""Whether the absolute values that a metric compares mean the same in an estimate and in the true system.
+"""The truth as an estimate is scored against it: in the form that the estimator's rules ask for.
 
-No data determine the factor between the blocks, and each estimator fixes it by a rule of its own.
+No data determine the factor between the blocks, and each estimator fixes it by a rule of its own. The same
+system with the factor moved keeps that rule too; where none does, values cannot be compared.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 from hident.config.suggest import one_of
 from hident.estimators.base import EstimatorSpec
-from hident.estimators.normalisation import CLOSE, Normalisation
-from hident.metrics.base import MetricSpec
+from hident.estimators.normalisation import Factors, Normalisation, brought
+from hident.metrics.base import Comparing, MetricSpec
+from hident.numerics.freedoms import Freedom
+from hident.records import Truth
 from hident.systems.base import SystemSpec
-from hident.systems.blocks import Hammerstein, Wiener
-
-_PLACES = {"linear": "b of the linear block", "input": "b of input_linear", "output": "b of output_linear"}
 
 
 def governed(metric: MetricSpec, estimator: EstimatorSpec) -> Iterator[tuple[Normalisation, list[str]]]:
@@ -26,92 +26,95 @@ def governed(metric: MetricSpec, estimator: EstimatorSpec) -> Iterator[tuple[Nor
             yield rule, parts
 
 
+def is_as_declared(metric: MetricSpec) -> bool:
+    """Whether the metric compares in the form that the estimator declares."""
+    return not isinstance(metric, Comparing) or metric.up_to is None
+
+
+def completed(metric: MetricSpec, estimator: EstimatorSpec, dt: float | None) -> MetricSpec:
+    """The metric as it scores the estimator's estimates from data at sampling interval ``dt``."""
+    left: set[Freedom] = set()
+    for rule, _ in governed(metric, estimator):
+        left |= rule.left
+    return metric.completed(left, estimator.discrete_step(dt))
+
+
+def truth_for(metric: MetricSpec, estimator: EstimatorSpec, truth: Truth, dt: float | None) -> Truth:
+    """The truth that the metric compares the estimator's estimates with.
+
+    It is the one given, to the last bit, where that keeps the estimator's rules already, or the metric is to
+    compare it as it is written.
+
+    Raises
+    ------
+    ValueError
+        If nothing brings the system to a rule.
+    """
+    if not is_as_declared(metric):
+        return truth
+    return brought(truth, [rule for rule, _ in governed(metric, estimator)], dt)
+
+
+def form_of(estimator: EstimatorSpec, truth: Truth, dt: float | None) -> Truth:
+    """The truth in the estimator's form, as far as there is one: what a figure shows beside its estimates."""
+    rules = [rule for rule in estimator.normalisations() or () if _can_be_kept(rule, truth, dt)]
+    return brought(truth, rules, dt)
+
+
+def _can_be_kept(rule: Normalisation, truth: Truth, dt: float | None) -> bool:
+    try:
+        rule.off(truth, dt)
+    except ValueError:
+        return False
+    return True
+
+
+def moved(metric: MetricSpec, estimator: EstimatorSpec, system: SystemSpec, dt: float | None) -> Factors:
+    """What the system's blocks are divided by to keep the rules on which a score depends; empty if none."""
+    factors: dict[str, float] = {}
+    if is_as_declared(metric):
+        for rule, _ in governed(metric, estimator):
+            factors |= rule.off(system.truth(), dt)
+    return factors
+
+
 def incomparable(
+    metric: MetricSpec, name: str, estimator: EstimatorSpec, system: SystemSpec, dt: float | None
+) -> Iterator[str]:
+    """Why the metric's score of an estimator, by its name in the file, would say nothing."""
+    if not is_as_declared(metric):
+        return
+    rules = list(governed(metric, estimator))
+    for tried in ([one] for one in rules):
+        yield from _unkept(tried, metric, name, estimator, system, dt)
+    if all(_can_be_kept(rule, system.truth(), dt) for rule, _ in rules):
+        yield from _unkept(rules, metric, name, estimator, system, dt)
+
+
+def _unkept(
+    rules: Sequence[tuple[Normalisation, list[str]]],
     metric: MetricSpec,
     name: str,
-    estimators: Mapping[str, EstimatorSpec],
+    estimator: EstimatorSpec,
     system: SystemSpec,
     dt: float | None,
 ) -> Iterator[str]:
-    """Why the metric's score of an estimator would say nothing.
-
-    ``estimators`` are all that it scores on the same system, by their names in the file; ``name`` is the one
-    meant. What would bring the system to its rule is no remedy where another one's rule asks for another
-    factor.
-    """
-    estimator = estimators[name]
-    for rule, parts in governed(metric, estimator):
-        named = one_of(part.removeprefix("value ") for part in parts)
-        said = (
+    """Why nothing brings the system to the rules together; nothing if something does."""
+    try:
+        brought(system.truth(), [rule for rule, _ in rules], dt)
+    except ValueError as error:
+        named = one_of(dict.fromkeys(part.removeprefix("value ") for _, parts in rules for part in parts))
+        said = " and ".join(f"'{rule.rule}'" for rule, _ in rules)
+        yield (
             f"compares absolute values ({named}), and no data determine the factor between the blocks: "
-            f"estimator '{name}' ({estimator.kind}) fixes it by the rule '{rule.rule}'"
+            f"estimator '{name}' ({estimator.kind}) fixes it by the rule {said}; "
+            f"{_either([str(error), *_instead(metric, rules[0][0], estimator, system)])}"
         )
-        try:
-            factors = rule.factors(system.truth(), dt) or {}
-        except ValueError as error:
-            yield f"{said}; {_either([str(error), *_instead(estimator, system)])}"
-            continue
-        off = {place: factor for place, factor in factors.items() if abs(factor - 1.0) > CLOSE}
-        if off:
-            found = one_of(f"{factor:.4g}" for factor in off.values())
-            said += f", and the system has {found} in place of 1. "
-            against = next(_against(metric, factors, estimators, system, dt), None)
-            if against is None:
-                same = f"{_remedy(system, off)}, which is the same system"
-                yield said + _either([same, *_instead(estimator, system)])
-            else:
-                other, theirs = against
-                yield (
-                    f"{said}The same system with that factor moved would not keep the rule of estimator "
-                    f"'{other}', '{theirs.rule}': {_either(_instead(estimator, system))}"
-                )
 
 
-def _against(
-    metric: MetricSpec,
-    factors: Mapping[str, float],
-    estimators: Mapping[str, EstimatorSpec],
-    system: SystemSpec,
-    dt: float | None,
-) -> Iterator[tuple[str, Normalisation]]:
-    """The estimators with the rules for which the system's blocks must be divided by other factors."""
-    for name, estimator in estimators.items():
-        for rule, _ in governed(metric, estimator):
-            try:
-                theirs = rule.factors(system.truth(), dt)
-            except ValueError:
-                # Nothing brings the system to that rule, and its own message says so.
-                continue
-            if theirs and not _agree(factors, theirs):
-                yield name, rule
-
-
-def _agree(one: Mapping[str, float], other: Mapping[str, float]) -> bool:
-    """Whether the same factor moved between the blocks keeps two rules."""
-    first, second = (
-        {"linear": 1.0 / of["nonlinearity"]} if "nonlinearity" in of else of for of in (one, other)
-    )
-    return all(abs(first[place] / second[place] - 1.0) <= CLOSE for place in first.keys() & second.keys())
-
-
-def _remedy(system: SystemSpec, factors: Mapping[str, float]) -> str:
-    """What brings the system to a rule, given what each of its blocks must be divided by."""
-    if isinstance(system, Hammerstein | Wiener):
-        hammerstein = isinstance(system, Hammerstein)
-        if (factor := factors.get("linear")) is not None:
-            back = (
-                "multiply the nonlinearity by it"
-                if hammerstein
-                else "multiply the nonlinearity's argument by it"
-            )
-            return f"Divide {_PLACES['linear']} by {factor:.10g} and {back}"
-        back = "the nonlinearity" if hammerstein else "the nonlinearity's argument"
-        return f"Divide {back} by {factors['nonlinearity']:.10g} and multiply {_PLACES['linear']} by it"
-    divided = one_of(f"{_PLACES.get(place, place)} by {factor:.10g}" for place, factor in factors.items())
-    return f"Divide {divided}, and multiply before and after the nonlinearity instead"
-
-
-def _instead(estimator: EstimatorSpec, system: SystemSpec) -> list[str]:
+def _instead(
+    metric: MetricSpec, rule: Normalisation, estimator: EstimatorSpec, system: SystemSpec
+) -> list[str]:
     """What else can be done, with the metrics that do not depend on the factor."""
     given, true = estimator.provides(), system.provides()
     metrics = [
@@ -119,6 +122,14 @@ def _instead(estimator: EstimatorSpec, system: SystemSpec) -> list[str]:
         *(["linear_percent_error"] if "continuous" in true and {"continuous", "linear"} & given else []),
     ]
     score = [f"score what does not depend on it ({one_of(metrics)})"] if metrics else []
+    if isinstance(metric, Comparing):
+        free = [name for name in metric.choices if name in rule.free]
+        up_to = f"up_to: [{one_of(free)}]"
+        score.append(
+            f"choose it for the least error by '{up_to}' under it"
+            if free
+            else f"compare the values as they are written by '{up_to}' under it"
+        )
     return [*score, "limit the metric to other estimators by 'estimators:' under it"]
 
 

@@ -18,7 +18,7 @@ from hident.config.suggest import one_of
 from hident.config.variables import filled
 from hident.config.yaml12 import Complaint, Location
 from hident.engine.cases import CHANGEABLE, DATA, Axis, Label, Skip
-from hident.engine.comparable import incomparable
+from hident.engine.comparable import completed, form_of, incomparable
 from hident.engine.fingerprint import fingerprint, libraries
 from hident.engine.scores import SECONDS
 from hident.engine.trial import Data, digest
@@ -26,6 +26,7 @@ from hident.engine.written import Written
 from hident.errors import ConfigError, RecordAbsent
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec, Scored
+from hident.records import Truth
 
 _MOST_UNITS = 100_000
 
@@ -61,6 +62,10 @@ class Unit:
             )
             for name, metric in self.metrics.items()
         }
+
+    def truth(self) -> Truth:
+        """The truth of its system, in the form that the estimator fixes where no data determine it."""
+        return form_of(self.estimator, self.data.system.truth(), self.data.dt)
 
     def keys(self, seed: int, perturbation: int = 0) -> dict[str, str]:
         """For each metric, the key of its stored trials: data, estimator, metric, code, seed, perturbation.
@@ -197,19 +202,15 @@ class Expansion:
         return unit
 
     def _complain_of_factors(self) -> None:
-        """Complain of absolute values that are compared where the system does not keep an estimator's rule.
+        """Complain of values that are compared where nothing brings the system to an estimator's rule.
 
         The case is named where not all cases of the estimator are alike.
         """
-        together: dict[tuple[str, int], dict[str, EstimatorSpec]] = {}
-        for one in self._compared:
-            together.setdefault((one.metric, id(one.unit.data)), {})[one.unit.name] = one.unit.estimator
         said: dict[tuple[str, str], dict[str, list[_Compared]]] = {}
         for one in self._compared:
             unit, data = one.unit, one.unit.data
-            estimators = {**together[one.metric, id(data)], unit.name: unit.estimator}
             found = said.setdefault((unit.name, one.metric), {})
-            messages = incomparable(unit.metrics[one.metric], unit.name, estimators, data.system, data.dt)
+            messages = incomparable(unit.metrics[one.metric], unit.name, unit.estimator, data.system, data.dt)
             for message in list(messages) or [""]:
                 found.setdefault(message, []).append(one)
         for (_, metric), found in said.items():
@@ -353,7 +354,7 @@ def _unsound(unit: Unit, metric: MetricSpec) -> Iterator[str]:
     """Why a metric that gets all it needs would say nothing."""
     data, estimator = unit.data, unit.estimator
     try:
-        metric.check(
+        completed(metric, estimator, data.dt).check(
             Scored(
                 data.samples,
                 data.dt,

@@ -115,7 +115,7 @@ class OneTrial:
         return None if record is None else record.y
 
     def _realise(self, unit: Unit) -> Realised:
-        truth, (record, failure) = unit.data.system.truth(), self.record(unit.data)
+        truth, (record, failure) = unit.truth(), self.record(unit.data)
         if record is None:
             return Realised(unit, truth, None, None, failure)
         job = Job(unit.estimator, ())

@@ -8,7 +8,7 @@ import json
 import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from typing import Annotated, Any, NamedTuple, TypeVar
 
@@ -20,11 +20,12 @@ from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, Spec, canonical
 from hident.config.suggest import one_of
 from hident.engine.clock import Clock, Limit, TookTooLong
+from hident.engine.comparable import completed, truth_for
 from hident.engine.scores import Scores, gathered
 from hident.errors import EstimationError, TrialFailed
 from hident.estimators.base import Batched, EstimatorSpec, is_batched
 from hident.metrics.base import MetricSpec
-from hident.records import Estimate, Part, Record
+from hident.records import Estimate, Part, Record, Truth
 from hident.signals.base import ExcitationSpec, NoiseSpec, Stretch
 from hident.signals.streams import NumpyStreams, OfData, StreamsSpec
 from hident.systems.base import SystemSpec
@@ -296,7 +297,7 @@ def run_trials(
             own, lost = _own(data, job, there, seed, clock)
             seconds: dict[int, float] = {}
             found = {**failed, **lost, **_estimates(data, job, own, seed, clock, seconds)}
-            outcomes.append(_outcome(job, {trial: found[trial] for trial in of}, own, clock, seconds))
+            outcomes.append(_outcome(data, job, {trial: found[trial] for trial in of}, own, clock, seconds))
     return outcomes
 
 
@@ -317,6 +318,7 @@ def _own(
 
 
 def _outcome(
+    data: Data,
     job: Job,
     found: Mapping[int, Estimate | BaseException],
     records: Mapping[int, Record],
@@ -325,14 +327,21 @@ def _outcome(
 ) -> Outcome:
     crashes: dict[int, Crash] = {}
     scores, late = [], []
-    for metric in job.metrics:
-        labels = len(metric.labels(""))
-        scored = {
-            trial: _score(metric, labels, one, records[trial], clock)
-            if isinstance(one, Estimate)
-            else _failed(one)
-            for trial, one in found.items()
-        }
+    truth = data.system.truth()
+    for written in job.metrics:
+        labels = len(written.labels(""))
+        made = _attempt(partial(scoring_of, written, job.estimator, truth, data.dt), clock)
+        scored: dict[int, Array | str | Crash]
+        if isinstance(made, BaseException):
+            scored = dict.fromkeys(found, _failed(made, OF_METRIC))
+        else:
+            metric, seen = made
+            scored = {
+                trial: _score(metric, labels, one, seen(records[trial]), clock)
+                if isinstance(one, Estimate)
+                else _failed(one)
+                for trial, one in found.items()
+            }
         crashes = {trial: one for trial, one in scored.items() if isinstance(one, Crash)} | crashes
         ended = {trial: str(one) for trial, one in scored.items() if isinstance(one, _Late)}
         kept = {trial: one for trial, one in scored.items() if not isinstance(one, Crash | _Late)}
@@ -346,6 +355,25 @@ def _seconds_of(found: Mapping[int, Estimate | BaseException], seconds: Mapping[
     timed = [trial for trial, one in found.items() if isinstance(one, Estimate)]
     taken = np.array([seconds[trial] for trial in timed], dtype=float)
     return Scores(np.array(timed, dtype=np.int64), taken[:, np.newaxis])
+
+
+def scoring_of(
+    metric: MetricSpec, estimator: EstimatorSpec, truth: Truth, dt: float | None
+) -> tuple[MetricSpec, Callable[[Record], Record]]:
+    """The metric as it scores the estimator's estimates, and what makes the records that it is given.
+
+    They are the trial's own, unless the truth must be brought to the estimator's form first.
+
+    Raises
+    ------
+    ValueError
+        If nothing brings the truth to the estimator's form.
+    """
+    brought = truth_for(metric, estimator, truth, dt)
+    complete = completed(metric, estimator, dt)
+    if brought is truth:
+        return complete, lambda record: record
+    return complete, lambda record: replace(record, truth=brought)
 
 
 def _attempt(make: Callable[[], T], clock: Clock) -> T | BaseException:

@@ -1,19 +1,21 @@
-"""How methods fix what no data determine: the factor between the blocks.
+"""How methods fix what no data determine: the factor between the blocks, and what they leave open.
 
 Multiply the linear block by a factor and divide the nonlinearity by it, and no output changes. So every
 method fixes the factor by a rule of its own, and absolute values can be compared with those of a true system
-only where that keeps the rule too.
+only where that keeps the rule too: the same system, with the factor moved, does (:func:`brought`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hident.arrays import Array, Characteristic
+from hident.config.suggest import one_of
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction, significant
+from hident.numerics.freedoms import Freedom
 from hident.records import Truth
 
 CLOSE = 1e-4
@@ -23,6 +25,8 @@ _PROBES = np.concatenate((-np.geomspace(1e3, 1e-3, 61), np.geomspace(1e-3, 1e3, 
 _PROPORTIONAL = 1e-9
 # A step at zero over which a difference quotient is the slope to 1e-5 for a curvature of one.
 _STEP = 1e-6
+# A quotient that changes by more than this part of it when the step is halved is no slope.
+_VANISHING = 0.1
 
 Factors = Mapping[str, float]
 """What each block of a system must be divided by to keep a rule, by its place: ``linear``, ``nonlinearity``,
@@ -35,16 +39,91 @@ class Normalisation:
 
     ``parts`` are spelled as an estimator provides them, values by their letter (``value b`` for b_0, b_1,
     ...). ``factors`` takes a true system and the sampling interval (None: discrete time); it gives None where
-    the system does not say, and raises ValueError if nothing brings the system to the rule.
+    the system does not say, and raises ValueError if nothing brings the system to the rule. ``free`` is what
+    no data determine of these parts; ``left`` is what of it the method does not fix either.
     """
 
     rule: str
     parts: frozenset[str]
     factors: Callable[[Truth, float | None], Factors | None]
+    free: frozenset[Freedom] = frozenset({"gain", "sign"})
+    left: frozenset[Freedom] = frozenset()
 
     def governs(self, part: str) -> bool:
         """Whether a part, such as ``nonlinearity`` or ``value b_1``, depends on the rule."""
         return part in self.parts or part.rpartition("_")[0] in self.parts
+
+    def leaving(self, *left: Freedom, says: str = "") -> Normalisation:
+        """The rule of a method that does not fix these, with what it ``says`` of them."""
+        return replace(self, rule=self.rule + says, free=self.free | {*left}, left=self.left | {*left})
+
+    def off(self, truth: Truth, dt: float | None) -> Factors:
+        """What the blocks must be divided by; empty where the system keeps the rule, or does not say.
+
+        ValueError if nothing brings the system to the rule.
+        """
+        factors = self.factors(truth, dt) or {}
+        if all(abs(factor - 1.0) <= CLOSE for factor in factors.values()):
+            return {}
+        if truth.rescaled is None:
+            found = one_of(f"{factor:.4g}" for factor in factors.values())
+            raise ValueError(f"the system has {found} in place of 1, and no blocks between which it can move")
+        return factors
+
+
+def brought(truth: Truth, rules: Iterable[Normalisation], dt: float | None) -> Truth:
+    """The truth of the same system that keeps the rules, each in the parts that it governs.
+
+    The truth itself, to the last bit, where it keeps them already (:data:`CLOSE`).
+
+    Raises
+    ------
+    ValueError
+        If nothing brings the system to a rule, or two rules ask for different factors in one part.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="abs", linear=hi.Fir(b=[0, 2, 1]))
+    >>> truth = brought(system.truth(), [first_coefficient(1)], None)
+    >>> truth.linear.b, truth.nonlinearity(np.array([-1.0, 3.0]))
+    ((0.0, 1.0, 0.5), array([2., 6.]))
+    """
+    kept, asked = truth, list[tuple[Normalisation, Factors]]()
+    for rule in rules:
+        factors = rule.off(kept, dt)
+        for other, theirs in asked:
+            if not other.parts.isdisjoint(rule.parts) and not _agree(factors, theirs):
+                raise ValueError(
+                    f"the rules '{other.rule}' and '{rule.rule}' ask for different factors of one system"
+                )
+        asked.append((rule, factors))
+        if not factors:
+            continue
+        assert kept.rescaled is not None
+        moved = kept.rescaled(factors)
+        values = {
+            name: moved.values[name] if rule.governs(f"value {name}") else value
+            for name, value in truth.values.items()
+        }
+        # It is of the system as it is written.
+        truth = replace(truth, values=values, rescaled=None)
+        if rule.governs("nonlinearity"):
+            truth = replace(truth, nonlinearity=moved.nonlinearity, breakpoints=moved.breakpoints)
+        if rule.governs("linear"):
+            truth = replace(truth, linear=moved.linear)
+        if rule.governs("continuous"):
+            truth = replace(truth, continuous=moved.continuous)
+    return truth
+
+
+def _agree(one: Factors, other: Factors) -> bool:
+    """Whether the same factor moved between the blocks keeps two rules."""
+    first, second = (
+        {"linear": 1.0 / of["nonlinearity"]} if "nonlinearity" in of else dict(of) for of in (one, other)
+    )
+    places = first.keys() | second.keys()
+    return all(abs(first.get(place, 1.0) / second.get(place, 1.0) - 1.0) <= CLOSE for place in places)
 
 
 def _parts(values: str, *parts: str) -> frozenset[str]:
@@ -136,8 +215,11 @@ def unit_slope(rule: str, values: str, *parts: str) -> Normalisation:
         if truth.nonlinearity is None:
             return None
         with np.errstate(all="ignore"):
-            at_zero, beside = truth.nonlinearity(np.array([0.0, _STEP]))
-            slope = float(beside - at_zero) / _STEP
+            at_zero, beside, halfway = truth.nonlinearity(np.array([0.0, _STEP, _STEP / 2.0]))
+            slope, nearer = float(beside - at_zero) / _STEP, float(halfway - at_zero) / (_STEP / 2.0)
+            if abs(nearer - slope) > _VANISHING * abs(slope):
+                # That of a parabola halves with the step, that of a root grows.
+                slope = 0.0 if abs(nearer) < abs(slope) else np.inf
         if not np.isfinite(slope) or slope == 0.0:
             raise ValueError(
                 f"the system's nonlinearity has the slope {slope:g} at zero, which no factor makes 1"
@@ -155,6 +237,11 @@ def known_function(rule: str, known: Characteristic, values: str = "b") -> Norma
             return None
         with np.errstate(all="ignore"):
             ratio = _ratio(truth.nonlinearity(_PROBES), known(_PROBES))
+            # Of a Wiener system it is the argument that takes a factor.
+            if ratio is not None and abs(ratio - 1.0) > CLOSE and truth.rescaled is not None:
+                moved = truth.rescaled({"nonlinearity": ratio}).nonlinearity
+                one = None if moved is None else _ratio(moved(_PROBES), known(_PROBES))
+                ratio = ratio if one is not None and abs(one - 1.0) <= CLOSE else None
         if ratio is None:
             raise ValueError("the system's nonlinearity is not a multiple of it")
         return {"nonlinearity": ratio}
@@ -185,7 +272,10 @@ def _discrete(truth: Truth, dt: float | None) -> TransferFunction | None:
 
 
 def _static_gains(truth: Truth) -> Factors | None:
-    blocks: dict[str, TransferFunction | ContinuousTransferFunction] = {**truth.blocks}
+    blocks: dict[str, TransferFunction | ContinuousTransferFunction] = {
+        **truth.blocks,
+        **truth.discrete_blocks,
+    }
     if block := truth.continuous or truth.linear:
         blocks["linear"] = block
     gains = {place: block.static_gain() for place, block in blocks.items()}

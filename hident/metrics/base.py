@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+from pydantic import field_validator
+
 from hident.config.references import EstimatorName
 from hident.config.spec import Component
+from hident.config.suggest import one_of
+from hident.numerics.freedoms import FREEDOMS, Freedom, in_words
 from hident.records import Estimate, Record
 from hident.signals.base import ExcitationSpec, Stretch
 from hident.systems.base import SystemSpec
@@ -67,6 +71,14 @@ class MetricSpec(Component):
         """
         return self.needs_of_truth() & self.needs_of_estimate()
 
+    def completed(self, left: Set[Freedom], step: float) -> MetricSpec:
+        """The metric as it scores the estimates of one method: what is not written follows from that.
+
+        ``left`` is what the method leaves open of the parts that are compared, ``step`` the sampling interval
+        of its discrete linear block.
+        """
+        return self
+
     def says(self, dt: float | None) -> str:
         """What a table says of how it scores at sampling interval ``dt``; nothing by default."""
         return ""
@@ -77,3 +89,36 @@ class MetricSpec(Component):
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         """One number for each label; a number that is not finite counts as a failed trial."""
         raise NotImplementedError
+
+
+class Comparing(MetricSpec):
+    """Base of the metrics that compare values with the truth's, of which no data determine some."""
+
+    choices: ClassVar[tuple[Freedom, ...]] = ()
+    """What it can choose for the least error."""
+    takes_off: ClassVar[frozenset[Freedom]] = frozenset()
+    """What of it is chosen where nothing is written and the method leaves it open."""
+
+    up_to: tuple[Freedom, ...] | None = None
+    """What no data determine and is chosen for the least error: gain, sign, delay, constant; []: nothing, the
+    values as they are written. Left out, the truth is brought to the form that the estimator declares."""
+
+    @field_validator("up_to")
+    @classmethod
+    def _can_choose(cls, up_to: tuple[Freedom, ...] | None) -> tuple[Freedom, ...] | None:
+        if up_to is None:
+            return None
+        if strange := [name for name in FREEDOMS if name in up_to and name not in cls.choices]:
+            allowed = one_of(cls.choices) if cls.choices else "[], the values as they are written"
+            raise ValueError(f"this metric can choose no {' or '.join(strange)} (allowed: {allowed})")
+        return tuple(name for name in FREEDOMS if name in up_to)
+
+    def completed(self, left: Set[Freedom], step: float) -> MetricSpec:
+        if self.up_to is not None:
+            return self
+        return self.model_copy(update={"up_to": tuple(n for n in FREEDOMS if n in left & self.takes_off)})
+
+    def says(self, dt: float | None) -> str:
+        if self.up_to is None:
+            return ""
+        return f"up to {in_words(self.up_to)}, whichever fits the truth best" if self.up_to else "as written"

@@ -12,7 +12,7 @@ import numpy as np
 
 from hident.config.spec import Flag, Real, component
 from hident.linear_blocks import SLOWEST
-from hident.metrics.base import MetricSpec, Scored
+from hident.metrics.base import Comparing, MetricSpec, Scored
 from hident.numerics.parts import in_each, longer_than
 from hident.records import Estimate, Record, needed
 
@@ -31,7 +31,7 @@ def _check_first_coefficient(scored: Scored) -> None:
 
 
 @component("metric", "disturbance_variance", source="Mzyk 2009, section IV-C")
-class DisturbanceVariance(MetricSpec):
+class DisturbanceVariance(Comparing):
     """Variance of the output (or of the filtered output) about the nonlinearity's output w_k.
 
     Examples

@@ -14,7 +14,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import AfterValidator, Field
@@ -23,7 +23,8 @@ from hident.arrays import Array, Complex
 from hident.config.spec import Count, Flag, NonEmpty, component
 from hident.config.suggest import did_you_mean, one_of
 from hident.linear_blocks import ContinuousTransferFunction
-from hident.metrics.base import MetricSpec, Scored
+from hident.metrics.base import Comparing, MetricSpec, Scored
+from hident.numerics.freedoms import Freedom
 from hident.records import Estimate, Periodic, Record, Truth, needed
 from hident.signals.base import Stretch
 from hident.signals.excitation import Multisine, Sine
@@ -33,6 +34,10 @@ _NAME = re.compile(r"(gain_i|phase_i|series_gain)_(\d+)|(gain_o|phase_o|phase_su
 _RANGE = re.compile(r"(\d+)\.\.(\d+)")
 # Frequencies this close, relative to their size, are one.
 _SAME = 1e-9
+# Delays that are tried for half a turn of the fastest phase, in all at most, and steps to the best one.
+_PER_TURN = 8
+_MOST_DELAYS = 20_000
+_REFINEMENTS = 5
 
 
 def sine_frequencies(record: Record) -> Array:
@@ -206,8 +211,11 @@ class TrueResponse(_True):
 
 
 @component("metric", "response_error")
-class ResponseError(_Estimated, _True):
+class ResponseError(_Estimated, _True, Comparing):
     """Estimated minus true gains and phases of the two linear blocks.
+
+    ``up_to: [delay]`` moves the delay from one block to the other that brings the phases nearest to the
+    true ones: no data tell the blocks' delays apart, only their sum, and no phase sum changes.
 
     Examples
     --------
@@ -221,14 +229,23 @@ class ResponseError(_Estimated, _True):
     """
 
     best = "zero"
+    choices: ClassVar[tuple[Freedom, ...]] = ("delay",)
 
     relative: Flag = False
     """In percent of the true gain or phase."""
 
+    def compares(self) -> frozenset[str]:
+        # Gains are relative to the static ones, so that no factor counts.
+        return frozenset()
+
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        true, errors = self.truths(record, needed(estimate.frequencies)), []
-        for name, found, at in zip(self.of, self.estimates(estimate), true, strict=True):
-            error = found - at
+        omega = needed(estimate.frequencies)
+        true, errors = self.truths(record, omega), []
+        away = [found - at for found, at in zip(self.estimates(estimate), true, strict=True)]
+        turns = [_turns(name, omega) for name in self.of]
+        tau = best_delay(np.array(away), np.array(turns)) if "delay" in (self.up_to or ()) else 0.0
+        for name, off, turn, at in zip(self.of, away, turns, true, strict=True):
+            error = off + tau * turn if tau else off
             if _parsed(name)[0].startswith("phase"):
                 error = math.remainder(error, 2.0 * math.pi)
             if self.relative:
@@ -238,6 +255,41 @@ class ResponseError(_Estimated, _True):
 
     def needs_of_estimate(self) -> frozenset[str]:
         return super().needs_of_estimate() | {"frequencies"}
+
+
+def _turns(name: str, omega: Array) -> float:
+    """The phase that a named value gains for each unit of delay that goes from Gi to Go; zero for a gain."""
+    quantity, m, k = _parsed(name)
+    if quantity == "phase_i":
+        return float(omega[m - 1])
+    return -k * float(omega[m - 1]) if quantity == "phase_o" else 0.0
+
+
+def best_delay(errors: Array, turns: Array) -> float:
+    """The delay tau that brings errors + tau turns, both (n,), nearest to whole turns of 2 pi.
+
+    It is sought up to half a turn of the least of the ``turns`` that are not zero, where the sum of cosines
+    is greatest, and refined by least squares.
+
+    Examples
+    --------
+    >>> turns = np.array([1.0, 2.0, -4.0, 0.0])
+    >>> round(best_delay(np.array([-0.3, -0.6, 1.2, 0.5]), turns), 6)
+    0.3
+    """
+    used = (turns != 0.0) & np.isfinite(errors)
+    errors, turns = errors[used], turns[used]
+    if not len(turns):
+        return 0.0
+    slowest, fastest = float(np.min(np.abs(turns))), float(np.max(np.abs(turns)))
+    count = min(_PER_TURN * math.ceil(fastest / slowest), _MOST_DELAYS)
+    tried = math.pi / slowest * np.arange(-count, count + 1) / count
+    fits = [float(np.sum(np.cos(errors + tau * turns))) for tau in tried]
+    tau = float(tried[int(np.argmax(fits))])
+    for _ in range(_REFINEMENTS):
+        left = np.angle(np.exp(1j * (errors + tau * turns)))
+        tau -= float(left @ turns) / float(turns @ turns)
+    return tau
 
 
 @component("metric", "gain_shape_error")

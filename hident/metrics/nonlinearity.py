@@ -11,7 +11,8 @@ from pydantic import Field
 from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Interval, NonEmpty, Real, component
 from hident.errors import TrialFailed
-from hident.metrics.base import Best, MetricSpec, Scored
+from hident.metrics.base import Best, Comparing, MetricSpec, Scored
+from hident.numerics.freedoms import Freedom, nearest, nearest_argument
 from hident.records import Estimate, Record, Truth, needed
 
 _NODES = 8
@@ -42,6 +43,11 @@ def _of(truth: Truth | None) -> tuple[Characteristic, tuple[float, ...]]:
     return truth.nonlinearity, truth.breakpoints
 
 
+def _has_factor_inside(truth: Truth) -> bool:
+    """Whether a linear block before the nonlinearity has a factor of its argument to give."""
+    return truth.structure in ("L-N", "L-N-L")
+
+
 def _finite(values: Array, u: Array, whose: str) -> Array:
     """The values of a characteristic at u, if all are finite."""
     if not np.isfinite(values).all():
@@ -50,8 +56,9 @@ def _finite(values: Array, u: Array, whose: str) -> Array:
     return values
 
 
-class _OnInterval(MetricSpec):
+class _OnInterval(Comparing):
     best: ClassVar[Best | None] = "lowest"
+    choices: ClassVar[tuple[Freedom, ...]] = ("gain", "sign", "constant")
 
     interval: Interval
     """The input range [low, high] that the error is taken over."""
@@ -69,8 +76,17 @@ class _OnInterval(MetricSpec):
         truth, breaks = _of(record.truth)
         nodes, weights = quadrature(*self.interval, breaks, self.points)
         true = _finite(truth(nodes), nodes, "true")
-        error = _finite(needed(estimate.nonlinearity)(nodes), nodes, "estimated") - true
+        error = self._nearest(estimate, record, nodes, true, weights) - true
         return float(weights @ error**2), float(weights @ true**2)
+
+    def _nearest(self, estimate: Estimate, record: Record, u: Array, true: Array, weights: Array) -> Array:
+        """The estimate at ``u`` (M,), with what is free chosen for the least error against ``true`` (M,)."""
+        found, truth, free = needed(estimate.nonlinearity), needed(record.truth), {*(self.up_to or ())}
+        factors = free & {"gain", "sign"}
+        if not factors or not _has_factor_inside(truth):
+            return nearest(_finite(found(u), u, "estimated"), true, weights, free)
+        outside = free if truth.structure == "L-N-L" else free - factors
+        return _finite(nearest_argument(found, u, true, weights, factors, outside), u, "estimated")
 
 
 @component("metric", "mise", source="Mzyk 2009, section V")
@@ -82,7 +98,8 @@ class IntegratedSquaredError(_OnInterval):
     estimates the same integral when the input is uniform there, but scores the estimate only where a sample
     supports it, and each estimate there holds its own sample. ``at: left_out_samples`` is the same mean over
     the samples that the estimator used, each estimate without its own (leave one out): bandwidth, cutoff
-    level and prefilter stay.
+    level and prefilter stay. A constant that the estimator leaves open counts, as in the paper, unless
+    ``up_to: [constant]`` takes it off.
 
     Examples
     --------
@@ -112,10 +129,18 @@ class IntegratedSquaredError(_OnInterval):
                 return (self._mean(u, values, _finite(_of(record.truth)[0](u), u, "true")),)
         assert_never(self.at)
 
+    def check(self, scored: Scored) -> None:
+        if self.at != "grid" and self.up_to and _has_factor_inside(scored.system.truth()):
+            raise ValueError(
+                f"is 'at: {self.at}' of the input, and the nonlinearity's argument is the output of a linear "
+                "block, of which a factor is free: take 'at: grid'"
+            )
+
     def _mean(self, u: Array, values: Array, true: Array) -> float:
         """The interval's length times the mean squared error at the points u."""
         low, high = self.interval
-        error = _finite(values, u, "estimated") - true
+        values = _finite(values, u, "estimated")
+        error = nearest(values, true, np.ones(len(u)), self.up_to or ()) - true
         return (high - low) * float(error @ error) / len(u) if len(u) else float("nan")
 
     def _at_samples(self, estimate: Estimate, record: Record) -> float:
@@ -193,6 +218,8 @@ class NonlinearityValue(MetricSpec):
 class NonlinearityPercentError(_OnInterval):
     """Root of the integrated squared error in percent of the root of the integrated squared truth.
 
+    A constant that the estimator leaves open does not count unless ``up_to`` says so.
+
     Examples
     --------
     >>> import hident as hi
@@ -202,7 +229,12 @@ class NonlinearityPercentError(_OnInterval):
     >>> scores = hi.score(estimate, record, percent=hi.NonlinearityPercentError(interval=[-1, 1]))
     >>> round(scores["percent"], 6)
     10.0
+    >>> metric = hi.NonlinearityPercentError(interval=[-1, 1], up_to=["gain"])
+    >>> round(hi.score(estimate, record, percent=metric)["percent"], 6)
+    0.0
     """
+
+    takes_off: ClassVar[frozenset[Freedom]] = frozenset({"constant"})
 
     def check(self, scored: Scored) -> None:
         truth = scored.system.truth()

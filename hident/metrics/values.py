@@ -9,7 +9,7 @@ from typing import Annotated, Self
 from pydantic import Field, field_validator, model_validator
 
 from hident.config.spec import Real, component
-from hident.metrics.base import MetricSpec, Scored
+from hident.metrics.base import Comparing, MetricSpec, Scored
 from hident.records import Estimate, Record, needed
 
 
@@ -64,7 +64,7 @@ class Value(_EachValue):
 
 
 @component("metric", "error")
-class Error(_EachValue, _AgainstTruth):
+class Error(_EachValue, _AgainstTruth, Comparing):
     """Estimate minus truth: its mean over trials is the bias, its std the standard deviation.
 
     Examples
@@ -133,7 +133,7 @@ class Share(_EachValue):
 
 
 @component("metric", "coverage")
-class Coverage(_EachValue, _AgainstTruth):
+class Coverage(_EachValue, _AgainstTruth, Comparing):
     """100 where the interval by the estimate's own standard error holds the truth, else 0.
 
     Examples
@@ -160,7 +160,7 @@ class Coverage(_EachValue, _AgainstTruth):
 
 
 @component("metric", "percent_error", source="Chen, Hwang, Chang 2009, section 6, example 1")
-class PercentError(_AgainstTruth):
+class PercentError(_AgainstTruth, Comparing):
     """Sum of absolute errors of the values in percent of the sum of their absolute truths.
 
     Examples

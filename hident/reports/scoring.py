@@ -5,18 +5,35 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from hident.config.suggest import one_of
-from hident.engine.comparable import governed
+from hident.engine.comparable import completed, governed, is_as_declared, moved
 from hident.engine.experiment import Plan, Unit
+from hident.metrics.base import Comparing, MetricSpec
+from hident.numerics.freedoms import in_words
+
+_PLACES = {
+    "linear": "linear block",
+    "nonlinearity": "nonlinearity",
+    "input": "input block",
+    "output": "output block",
+}
+# So many factors are written out; they may differ from case to case.
+_MOST_FACTORS = 4
 
 
 def scoring(plan: Plan) -> Iterator[str]:
-    """Where absolute values are compared, by which rule, and what each metric says of itself: sentences."""
+    """Up to what values are compared, in which form, and what each metric says of itself: sentences."""
     rules: dict[str, dict[str, list[str]]] = {}
     said: dict[str, list[str]] = {}
+    apart: dict[tuple[str, str], list[str]] = {}
+    factors: dict[str, dict[str, list[str]]] = {}
     for unit in plan.units:
         for name, metric in unit.metrics.items():
             for rule in _rules(unit, name):
                 _add(rules.setdefault(name, {}).setdefault(rule, []), unit.name)
+            for place, factor in moved(metric, unit.estimator, unit.data.system, unit.data.dt).items():
+                _add(factors.setdefault(unit.name, {}).setdefault(place, []), f"{factor:.4g}")
+            if words := _taken_off(metric, unit):
+                _add(apart.setdefault((name, words), []), unit.name)
             if words := metric.says(unit.data.dt):
                 _add(said.setdefault(name, []), words)
     groups: dict[str, list[str]] = {}
@@ -25,6 +42,10 @@ def scoring(plan: Plan) -> Iterator[str]:
     for words, metrics in groups.items():
         named = one_of(metrics)
         yield f"Absolute values are compared in {named}; the free factor between the blocks: {words}."
+    if factors:
+        yield f"The truth is brought to that form: {'; '.join(_divided(factors))}."
+    for (name, words), estimators in apart.items():
+        yield f"Metric {name}: up to {words}, which the method leaves open ({one_of(estimators)})."
     for name, sentences in said.items():
         yield f"Metric {name}: {'; '.join(sentences)}."
 
@@ -37,6 +58,8 @@ def _add(names: list[str], name: str) -> None:
 def _rules(unit: Unit, name: str) -> Iterator[str]:
     """The rules on which a score depends, in words."""
     metric, estimator = unit.metrics[name], unit.estimator
+    if not is_as_declared(metric):
+        return
     if estimator.normalisations() is None:
         # Of a whole response no factor is free.
         if metric.compares() - {"response"}:
@@ -44,6 +67,25 @@ def _rules(unit: Unit, name: str) -> Iterator[str]:
         return
     for rule, _ in governed(metric, estimator):
         yield rule.rule
+
+
+def _taken_off(metric: MetricSpec, unit: Unit) -> str:
+    """What is chosen for the least error though nothing is written, because the method leaves it open."""
+    if not isinstance(metric, Comparing) or metric.up_to is not None:
+        return ""
+    complete = completed(metric, unit.estimator, unit.data.dt)
+    return in_words(complete.up_to or ()) if isinstance(complete, Comparing) else ""
+
+
+def _divided(factors: dict[str, dict[str, list[str]]]) -> Iterator[str]:
+    """What the blocks are divided by for each estimator."""
+    for name, places in factors.items():
+        each = (
+            f"{_PLACES.get(place, place)} divided by "
+            + (one_of(values) if len(values) <= _MOST_FACTORS else "a factor of each case")
+            for place, values in places.items()
+        )
+        yield f"{one_of(each)} ({name})"
 
 
 def _in_words(rules: dict[str, list[str]]) -> str:

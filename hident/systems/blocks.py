@@ -2,20 +2,46 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Annotated, Self
 
 import numpy as np
 from pydantic import model_validator
 
-from hident.arrays import Array
+from hident.arrays import Array, Characteristic
 from hident.config.spec import Of, component
-from hident.linear_blocks import ContinuousTransferFunction
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 from hident.records import Held, Truth, Waveform
 from hident.systems.base import MemorySpec, NonlinearitySpec, SystemSpec
 from hident.systems.continuous import ContinuousSpec
 from hident.systems.continuous_wiener_hammerstein import respond
 from hident.systems.linear import DiscreteSpec, LinearSpec
+
+
+@dataclass(frozen=True)
+class Rescaled:
+    """outside f(inside x), a characteristic between blocks that have given it their factors."""
+
+    function: Characteristic
+    inside: float = 1.0
+    outside: float = 1.0
+
+    def __call__(self, x: Array) -> Array:
+        return np.asarray(self.outside * self.function(self.inside * x))
+
+
+def _rescaled(truth: Truth, inside: float = 1.0, outside: float = 1.0) -> Truth:
+    """The truth with factors before and after its nonlinearity; its linear blocks stay."""
+    if truth.nonlinearity is None:
+        return truth
+    points = truth.breakpoints if inside == 1.0 else tuple(sorted(x / inside for x in truth.breakpoints))
+    return replace(truth, nonlinearity=Rescaled(truth.nonlinearity, inside, outside), breakpoints=points)
+
+
+def _moved(factors: Mapping[str, float]) -> float:
+    """What the linear block is divided by, and the nonlinearity takes."""
+    return factors["linear"] if "linear" in factors else 1.0 / factors["nonlinearity"]
 
 
 def _why_no_function(part: str, nonlinearity: NonlinearitySpec) -> str:
@@ -51,6 +77,15 @@ class _OneLinearBlock(SystemSpec):
             return replace(truth, continuous=block)
         return replace(truth, linear=block)
 
+    def _divided(self, factor: float) -> Truth:
+        """The truth with the linear block divided by a factor."""
+        truth = self.truth()
+        block = self.linear.transfer_function().scaled(1.0 / factor)
+        values = {**truth.values, **block.values()}
+        if isinstance(block, ContinuousTransferFunction):
+            return replace(truth, continuous=block, values=values)
+        return replace(truth, linear=block, values=values)
+
 
 @component("system", "hammerstein")
 class Hammerstein(_OneLinearBlock):
@@ -79,7 +114,15 @@ class Hammerstein(_OneLinearBlock):
         truth = super().truth()
         letter = "c" if self.linear.transfer_function().a else "a"
         named = {f"{letter}_{j}": c for j, c in self.nonlinearity.coefficients_by_power().items()}
-        return replace(truth, values={**truth.values, **named})
+        values = {**truth.values, **named}
+        return replace(truth, values=values, structure="N-L", rescaled=self._rescaled)
+
+    def _rescaled(self, factors: Mapping[str, float]) -> Truth:
+        moved = _moved(factors)
+        truth = _rescaled(self._divided(moved), outside=moved)
+        block = self.linear.transfer_function().values()
+        values = {name: c if name in block else moved * c for name, c in truth.values.items()}
+        return replace(truth, values=values)
 
 
 @component("system", "wiener")
@@ -95,6 +138,13 @@ class Wiener(_OneLinearBlock):
 
     def simulate(self, u: Array, dt: float = 1.0) -> Array:
         return self.nonlinearity.simulate(self.linear.simulate(u, dt))
+
+    def truth(self) -> Truth:
+        return replace(super().truth(), structure="L-N", rescaled=self._rescaled)
+
+    def _rescaled(self, factors: Mapping[str, float]) -> Truth:
+        moved = _moved(factors)
+        return _rescaled(self._divided(moved), inside=moved)
 
 
 def _start(initial: str | tuple[float, ...]) -> str:
@@ -188,7 +238,35 @@ class WienerHammerstein(SystemSpec):
             blocks=self._continuous_blocks(),
             values=values,
             breakpoints=self.nonlinearity.break_points(),
+            discrete_blocks=self._discrete_blocks(),
+            structure="L-N-L",
+            rescaled=self._rescaled,
         )
+
+    def _rescaled(self, factors: Mapping[str, float]) -> Truth:
+        truth = self.truth()
+        sides = {side: factors.get(side, 1.0) for side in ("input", "output")}
+        if "nonlinearity" in factors:
+            # What stands behind takes it.
+            sides["output"] /= factors["nonlinearity"]
+        return replace(
+            _rescaled(truth, sides["input"], sides["output"]),
+            blocks={side: block.scaled(1.0 / sides[side]) for side, block in truth.blocks.items()},
+            discrete_blocks={
+                side: block.scaled(1.0 / sides[side]) for side, block in truth.discrete_blocks.items()
+            },
+            values={
+                name: value / sides[side] if letter.startswith("b") else value
+                for name, value in truth.values.items()
+                for side, _, letter in [name.partition("_")]
+            },
+        )
+
+    def _discrete_blocks(self) -> dict[str, TransferFunction]:
+        """The blocks as numbers by their place; empty in continuous time."""
+        sides = {"input": self.input_linear, "output": self.output_linear}
+        blocks = {side: linear.transfer_function() for side, linear in sides.items()}
+        return {side: block for side, block in blocks.items() if isinstance(block, TransferFunction)}
 
     def _continuous_blocks(self) -> dict[str, ContinuousTransferFunction]:
         """The blocks as numbers by their place; empty in discrete time."""

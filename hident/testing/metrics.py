@@ -87,6 +87,6 @@ def _only(parts: Parts, needs: frozenset[str]) -> Parts:
         field.name: getattr(parts, field.name)
         for field in fields(parts)
         # What is no part of its own goes along with the parts.
-        if field.name in wanted or field.name in ("breakpoints", "details")
+        if field.name in wanted or field.name in ("breakpoints", "structure", "details")
     }
     return type(parts)(**{**kept, "values": values})

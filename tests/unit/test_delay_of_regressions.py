@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 import hident as hi
-from hident.estimators.nonparametric.delay import delayed, search_delay, unexplained
+from hident.estimators.nonparametric.delay import _by_chance, delayed, late, search_delay, unexplained
 from hident.records import Held, Part, Record
 from tests.unit.plans import planned, refusals
 
@@ -288,3 +288,61 @@ def test_a_delay_may_be_one_of_the_settings_that_the_data_choose():
     for by in ("leave_one_out", "cross_validation"):
         found = hi.fit(hi.Select(by=by, over={"delay": [1, 2, 3]}, estimator=settings), made)
         assert found.values["selected delay"] == 1.0
+
+
+def _behind(delay, n, nsr=0.1, trial=0, a=0.5):
+    system = hi.Hammerstein(
+        nonlinearity=hi.Polynomial(coefficients=[0, 1, 0.5]),
+        linear=hi.Arma(b=[*[0] * delay, 1], a=[a]),
+    )
+    noise = hi.White(nsr=nsr)
+    return hi.simulate(system, hi.Iid(distribution="uniform", low=-2, high=2), n, noise=noise, trial=trial)
+
+
+class TestLeftOut:
+    """Without a word on the delay it is 0, unless the newest input says nothing and an earlier one does."""
+
+    @pytest.mark.parametrize("delay", [1, 3, 10])
+    def test_a_late_block_is_noticed(self, delay):
+        record = _behind(delay, 400)
+        found, given = hi.fit(kernel(), record), hi.fit(kernel(delay=delay), record)
+        u = np.linspace(-1.5, 1.5, 20)
+        assert found.nonlinearity is not None
+        assert given.nonlinearity is not None
+        np.testing.assert_array_equal(found.nonlinearity(u), given.nonlinearity(u))
+        assert found.values == {}
+
+    def test_a_block_that_is_not_late_is_taken_as_it_is(self):
+        u = np.linspace(-1.5, 1.5, 20)
+        for trial in range(100):
+            # The block remembers most of its output, and noise hides what the newest input does.
+            record = _behind(0, 50, nsr=0.5, trial=trial, a=0.9)
+            found, given = hi.fit(kernel(), record), hi.fit(kernel(delay=0), record)
+            assert found.nonlinearity is not None
+            assert given.nonlinearity is not None
+            np.testing.assert_array_equal(found.nonlinearity(u), given.nonlinearity(u))
+
+    def test_noise_alone_is_no_reason(self):
+        for seed in range(200):
+            rng = np.random.default_rng(seed)
+            assert late(hi.Record(rng.uniform(-1, 1, 200), rng.standard_normal(200)), 10) == 0
+
+    def test_the_chance_of_a_dependence_is_uniform_without_one(self):
+        chances = []
+        for seed in range(1000):
+            rng = np.random.default_rng(seed)
+            chances.append(_by_chance(rng.uniform(-1, 1, 100), rng.standard_normal(100)))
+        for level in (0.01, 0.1, 0.5):
+            share = np.mean(np.array(chances) < level)
+            assert abs(share - level) < 4.0 * np.sqrt(level * (1.0 - level) / 1000)
+
+    def test_experiments_of_other_intervals_have_no_lags(self):
+        u = np.random.default_rng(1).uniform(-1, 1, 400)
+        wave = Held(np.zeros(1), np.zeros(1))
+        for intervals, expected in (((1.0, 1.0), 1), ((1.0, 0.5), 0)):
+            places = ((0, 200), (200, 400))
+            parts = {
+                f"{start}": Part(start, stop, dt, wave)
+                for (start, stop), dt in zip(places, intervals, strict=True)
+            }
+            assert late(Record(u, np.roll(u, 1), 1.0, parts=parts), 10) == expected

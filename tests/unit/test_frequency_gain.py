@@ -340,7 +340,12 @@ def test_all_printed_numbers_come_out_as_values(gauge, n):
     spec = estimator(gauge=gauge)
     estimate = spec.fit(record(SINES, LEVELS, n=n) if n == 64 else _fractional(n), RNG)
     values = estimate.values
-    assert {f"value {name}" for name in values} | {"nonlinearity", "frequencies"} == spec.provides()
+    assert estimate.provides() == spec.provides()
+    assert {f"value {name}" for name in values} | {"nonlinearity", "frequencies"} == spec.provides() - {
+        "response"
+    }
+    # The gauge that knows both blocks knows what they do.
+    assert ("response" in spec.provides()) == (gauge == GAUGES["rational"])
     assert values["gain_i_1"] == pytest.approx(abs(g_i(0.01)), rel=1e-5)
     for k in (1, 2, 3):
         assert values[f"gain_o_1_{k}"] == pytest.approx(abs(g_o(k * 0.01)), rel=1e-4)

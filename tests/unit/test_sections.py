@@ -250,3 +250,14 @@ class TestContinuous:
         zeros, poles, gain = signal.butter(8, [1, 1.02], "bandpass", output="zpk", analog=True)
         with pytest.raises(hi.ConfigError, match="has zeros and poles that its coefficients cannot hold"):
             hi.ContinuousZpk(zeros=written(zeros), poles=written(poles), gain=float(gain))
+
+
+def test_a_block_that_is_scaled_keeps_its_sections_and_its_digits():
+    block = SecondOrderSections.of(signal.butter(8, [0.49, 0.51], "bandpass", output="sos"))
+    scaled = block.scaled(-2.5)
+    assert isinstance(scaled, SecondOrderSections)
+    u = np.random.default_rng(1).uniform(-1, 1, 500)
+    np.testing.assert_allclose(scaled.filter(u), -2.5 * block.filter(u), rtol=1e-12, atol=1e-15)
+    # In the middle of the band the gain is one.
+    gain = np.abs(scaled.frequency_response(np.array([np.pi / 2 / 0.1]), 0.1))
+    np.testing.assert_allclose(gain, 2.5, rtol=1e-6)

@@ -4,20 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from hident.arrays import Array
+from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Of, Real, component
 from hident.config.suggest import did_you_mean, one_of
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_finite, with_errors
 from hident.estimators.frequency.frequency_gain import FrequencyGains, frequency_gains
 from hident.estimators.frequency.gauge import AMBIGUITY, FrequencyGrid
-from hident.estimators.frequency.gauges import GAUGES, DelayFree, KnownPhase, MinimumPhase, Rational
+from hident.estimators.frequency.gauges import (
+    GAUGES,
+    DelayFree,
+    Gauged,
+    KnownPhase,
+    MinimumPhase,
+    Rational,
+)
 from hident.estimators.frequency.harmonics import (
     Harmonics,
     harmonics,
@@ -29,9 +37,11 @@ from hident.estimators.frequency.nonlinearity_identification import Nonlinearity
 from hident.estimators.frequency.sine_responses import SineResponses, match_frequencies
 from hident.estimators.frequency.staircase_levels import PolynomialFit
 from hident.estimators.normalisation import Normalisation, unit_static_gain
-from hident.records import Estimate, Part, Periodic, Record
+from hident.linear_blocks import ContinuousTransferFunction
+from hident.records import Estimate, Held, Part, Periodic, Record
 from hident.signals.experiments import LogSpaced
 from hident.systems.base import Coefficients
+from hident.systems.continuous_wiener_hammerstein import respond
 from hident.systems.nonlinearity import Polynomial
 
 Positive = Annotated[Real, Field(gt=0)]
@@ -48,6 +58,19 @@ def _by_staircase(estimator: EstimatorSpec) -> EstimatorSpec:
     return estimator
 
 
+@dataclass(frozen=True)
+class ContinuousResponse:
+    """The response of a nonlinearity between two continuous blocks to a held input, from rest at zero."""
+
+    first: ContinuousTransferFunction
+    nonlinearity: Characteristic
+    second: ContinuousTransferFunction
+
+    def __call__(self, u: Array, dt: float) -> Array:
+        held = Held(np.arange(float(len(u))) * dt, u)
+        return respond(self.first, self.nonlinearity, self.second, held, len(u), dt)
+
+
 @component("estimator", "frequency_gain_identification", source="Brouri, Table II, eq. (33)-(41)")
 class FrequencyGainIdentification(EstimatorSpec):
     """Gains of both blocks of a Wiener-Hammerstein system, and phase sums, from sines.
@@ -57,7 +80,8 @@ class FrequencyGainIdentification(EstimatorSpec):
     phase_i_m and phase_o_m_k, and the coefficients of a rational one; each with its se_. Whether they fit:
     chi2 with chi2_freedom degrees of freedom, misfit (the largest residual relative to the output's
     fluctuation) and solutions (how many the data do not tell apart; of these the least gains). Of a rational
-    gauge gauge_chi2, gauge_chi2_freedom and gauge_misfit (of a gain, or radians of a phase sum). Where the
+    gauge gauge_chi2, gauge_chi2_freedom and gauge_misfit (of a gain, or radians of a phase sum), and the
+    response of both blocks if m < n in each. Where the
     nonlinearity is estimated, c_0, ... as they are after the sines. Orders: order_power_m by eq. (39),
     order_ac_m the same without the mean, order_snr_m by signal-to-noise; examined + 1 where none suffices.
     Of the phases: how many there are (phase_unknowns), how many sums were seen (phase_equations), their rank
@@ -186,7 +210,13 @@ class FrequencyGainIdentification(EstimatorSpec):
         return [*with_errors(measured), *orders, *ranks, *tests]
 
     def normalisations(self) -> tuple[Normalisation, ...]:
-        return (unit_static_gain("c input_b output_b"),)
+        rule = unit_static_gain("c input_b output_b")
+        # A gauge fixes the delay that the data let move from one block to the other.
+        return (replace(rule, free=rule.free | {"delay"}) if self.gauge else rule.leaving("delay"),)
+
+    def provides(self) -> frozenset[str]:
+        has_blocks = isinstance(self.gauge, Rational) and self.gauge.is_strictly_proper()
+        return super().provides() | ({"response"} if has_blocks else frozenset())
 
     def check(self, n: int, dt: float | None) -> None:
         if dt is None:
@@ -202,29 +232,33 @@ class FrequencyGainIdentification(EstimatorSpec):
             require_samples(frequency, part.dt, self.order)
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
-        polynomial = self._polynomial(record)
+        static = self._polynomial(record)
         parts = self._sines(record)
         found = [self._harmonics(part, record) for part in parts]
         offset = np.array([_wave(part).offset for part in parts])
         data = SineResponses.of(self.omega(), found, _amplitudes(parts), offset, self.order)
-        gains = frequency_gains(data, polynomial, self.threshold)
+        gains = frequency_gains(data, static, self.threshold)
         if self.lost == "error" and gains.lost():
             raise EstimationError(gains.why_lost())
         if misfit := gains.why_misfit(self.fit_level):
             raise EstimationError(misfit)
+        polynomial = Polynomial(coefficients=tuple(gains.polynomial.coefficients.tolist()))
+        gauged = self.gauge.phases(gains, self.fit_level) if self.gauge is not None else None
+        blocks = gauged[1].blocks() if gauged is not None and gauged[1] is not None else None
         return Estimate(
-            nonlinearity=Polynomial(coefficients=tuple(gains.polynomial.coefficients.tolist())),
+            nonlinearity=polynomial,
             frequencies=self.omega(),
-            values=self._values(gains, [*self._orders(found, data.m), *_ranks(gains)]),
+            response=None if blocks is None else ContinuousResponse(blocks[0], polynomial, blocks[1]),
+            values=self._values(gains, gauged, [*self._orders(found, data.m), *_ranks(gains)]),
         )
 
-    def _values(self, gains: FrequencyGains, others: list[Any]) -> dict[str, float]:
+    def _values(self, gains: FrequencyGains, gauged: Gauged | None, others: list[Any]) -> dict[str, float]:
         """What was measured, with its standard errors, then the ``others``, then what tests the fits."""
         (g_i, g_o), (e_i, e_o), o = gains.gains, gains.errors, gains.grid.o
         measured = [(g_i, e_i), (g_o[o], e_o[o]), (gains.sums, gains.sum_errors)]
         others += [gains.chi2, gains.freedom, gains.misfit, gains.solutions]
-        if self.gauge is not None:
-            phases, fit = self.gauge.phases(gains, self.fit_level)
+        if gauged is not None:
+            phases, fit = gauged
             measured += [(phases.input, phases.input_errors), (phases.output[o], phases.output_errors[o])]
             if fit is not None:
                 measured.append((fit.coefficients, fit.errors))

@@ -96,6 +96,10 @@ class Rational(Spec):
         if data < (wanted := sum(self.input) + sum(self.output)):
             raise ValueError(f"{data} gains and phase sums do not determine {wanted} coefficients")
 
+    def is_strictly_proper(self) -> bool:
+        """Whether no block lets its input through at once, so that both can be simulated."""
+        return all(m < n for m, n in (self.input, self.output))
+
     def names(self) -> list[str]:
         """The coefficients: input_b_1, ..., input_a_1, ..., output_b_1, ..., output_a_1, ..."""
         sides = (("input", self.input), ("output", self.output))

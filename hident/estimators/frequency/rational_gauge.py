@@ -12,6 +12,7 @@ from hident.arrays import Array, Complex, Flags
 from hident.errors import EstimationError
 from hident.estimators.frequency import chi_squared
 from hident.estimators.frequency.gauge import FrequencyGrid, Phases
+from hident.linear_blocks import ContinuousTransferFunction
 from hident.numerics.choices import first_least
 
 Orders = tuple[int, int]
@@ -59,6 +60,16 @@ class RationalFit:
     chi2: float
     freedom: int
     misfit: float
+
+    def blocks(self) -> tuple[ContinuousTransferFunction, ContinuousTransferFunction] | None:
+        """Both blocks, of static gain 1; None if one lets its input through at once (m = n)."""
+        if any(len(block.b) >= len(block.a) for block in (self.input, self.output)):
+            return None
+        first, second = (
+            ContinuousTransferFunction((1.0, *block.b.tolist()), tuple(block.a.tolist()))
+            for block in (self.input, self.output)
+        )
+        return first, second
 
     @property
     def coefficients(self) -> Array:

@@ -22,6 +22,11 @@ from hident.records import Record
 
 FEWEST_PAIRS = 4
 """Pairs with which delays can be compared: two bins of two."""
+# How rare a dependence would be by chance: on the newest input, if there is one; on an earlier one, if there
+# clearly is. One on the newest counts for nothing beside what is as much rarer as this root says.
+_UNLIKELY, _CERTAIN = 0.01, 1e-8
+_NEVER, _LEAST = 1e-9, 1e-300
+_BESIDE = 1 / 40
 
 
 def _as_delay(value: Any) -> Any:
@@ -144,3 +149,39 @@ def unexplained(u: Array, y: Array) -> float:
     sizes, sums = np.bincount(bins), np.bincount(bins, deviations)
     filled = sizes > 0
     return 1.0 - float(np.sum(sums[filled] ** 2 / sizes[filled])) / total
+
+
+def late(record: Record, largest: int) -> int:
+    """The delay up to ``largest`` on whose input the output clearly depends, if not on the newest; else 0.
+
+    The share of the variance that a regressogram explains of independent signals has a beta distribution. The
+    newest input must explain no more than chance does, alone (p > 0.01) or beside an earlier one (p above the
+    40th root of its p), and that one what chance never would (p < 1e-9). Where experiments have intervals of
+    their own, no lag is one time, and the delay is 0.
+
+    Examples
+    --------
+    >>> u = np.random.default_rng(1).uniform(-1, 1, 400)
+    >>> [late(Record(u, np.roll(u**2, delay)), 10) for delay in (0, 1, 3)]
+    [0, 1, 3]
+    """
+    if len({part.dt for part in record.parts.values()}) > 1 or len(record) <= largest + FEWEST_PAIRS:
+        return 0
+    if not np.isfinite(record.y).all() or (newest := _by_chance(record.u, record.y)) < _CERTAIN:
+        return 0
+    chances = [1.0]
+    for delay in range(1, largest + 1):
+        pairs = delayed(record, delay)
+        chances.append(_by_chance(pairs.u, pairs.y))
+    best = int(np.argmin(chances))
+    least = max(chances[best], _LEAST)
+    return best if least < _NEVER and newest > min(_UNLIKELY, least**_BESIDE) else 0
+
+
+def _by_chance(u: Array, y: Array) -> float:
+    """The probability that a regressogram on an independent ``u`` (N,) explains as much of ``y`` (N,)."""
+    from scipy.special import betainc
+
+    n, bins = len(u), max(2, math.isqrt(len(u)))
+    # Of the normal distribution; other outputs are near enough to it for levels this far apart.
+    return float(betainc((n - bins) / 2.0, (bins - 1) / 2.0, min(max(unexplained(u, y), 0.0), 1.0)))

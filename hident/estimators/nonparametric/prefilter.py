@@ -6,7 +6,7 @@ import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Annotated, Any, Protocol, Self
+from typing import Annotated, Any, Literal, Protocol, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -17,12 +17,14 @@ from hident.config.spec import Component, Count, Of, Real, Spec, components
 from hident.config.suggest import one_of
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec, Experiments, require_varying
+from hident.estimators.discrete_response import at_step
 from hident.estimators.nonparametric.delay import (
     FEWEST_PAIRS,
     Delay,
     DelaySearch,
     SomeSamples,
     delayed,
+    late,
     search_delay,
 )
 from hident.estimators.normalisation import Normalisation, behind, first_coefficient
@@ -220,17 +222,19 @@ def _filtered(
 class NonparametricSpec(EstimatorSpec):
     """Base of the estimators of a characteristic by regression, on the output or the filtered output.
 
-    With a prefilter the estimate also holds what the prefilter estimated. The first p samples of each
-    experiment are dropped (see :func:`prefilter`), so N - p pairs (u_k, y^f_k) of each remain. With a delay d
-    all is done with the pairs (u_{k-d}, y_k), and the linear block that is found is delayed by d.
+    With a prefilter the estimate also holds what the prefilter estimated, and the response of both. The first
+    p samples of each experiment are dropped (see :func:`prefilter`), so N - p pairs (u_k, y^f_k) of each
+    remain. With a delay d all is done with the pairs (u_{k-d}, y_k), and the linear block that is found is
+    delayed by d.
     """
 
     prefilter: Annotated[EstimatorSpec, _OfDynamics("estimator")] | None = None
     """Estimator of the linear block, to be undone first (drops p samples); none: the plain output is used."""
     known_point: KnownPoint | None = None
     """A point where the characteristic is known: a constant is added so that the estimate agrees there."""
-    delay: Delay = 0
-    """Samples by which the linear block delays its input; search: those on whose input y depends most."""
+    delay: Delay | None = None
+    """Samples by which the linear block delays its input; search: those on whose input y depends most. Left
+    out, 0; without a prefilter a later one where the output depends on that input, and not on the newest."""
     largest_delay: Annotated[Count, Field(ge=1)] = 10
     """Largest delay that is tried (search)."""
 
@@ -240,11 +244,16 @@ class NonparametricSpec(EstimatorSpec):
             raise ValueError("only 'delay: search' takes largest_delay")
         return self
 
+    @property
+    def _given(self) -> Literal["search"] | int:
+        """The delay as far as it is known before there is a record."""
+        return 0 if self.delay is None else self.delay
+
     def takes_experiments(self) -> Experiments:
         if self.prefilter:
             return self.prefilter.takes_experiments()
         # Without a prefilter and a delay the order of the samples does not matter.
-        return "any" if self.delay == 0 else "at_one_interval"
+        return "any" if self._given == 0 else "at_one_interval"
 
     def draws(self) -> bool:
         return self.prefilter is not None and self.prefilter.draws()
@@ -259,9 +268,9 @@ class NonparametricSpec(EstimatorSpec):
 
     def names(self) -> Sequence[str]:
         names = self.prefilter.names() if self.prefilter else ()
-        if self.delay == 0:
+        if self._given == 0:
             return names
-        return [*self._later(dict.fromkeys(names, 0.0), 0 if self.delay == "search" else self.delay)]
+        return [*self._later(dict.fromkeys(names, 0.0), 0 if self._given == "search" else self._given)]
 
     def _later(self, values: Mapping[str, float], delay: int) -> dict[str, float]:
         """The values of a prefilter behind a delay, b_0, ... at its lags, and the delay itself.
@@ -271,20 +280,20 @@ class NonparametricSpec(EstimatorSpec):
         named = {
             f"b_{int(name[2:]) + delay}" if name.startswith("b_") else name: value
             for name, value in values.items()
-            if not (self.delay == "search" and name.startswith("b_"))
+            if not (self._given == "search" and name.startswith("b_"))
         }
         return {**named, "delay": float(delay)}
 
     def provides(self) -> frozenset[str]:
-        more = self.prefilter.provides() | {"unfiltered"} if self.prefilter else frozenset()
+        more = self.prefilter.provides() | {"unfiltered", "response"} if self.prefilter else frozenset()
         parts = {part for part in more if not part.startswith("value ")}
         return frozenset({"nonlinearity", "left_out", *parts, *(f"value {name}" for name in self.names())})
 
     def fewest_samples(self) -> int:
         fewest = self.prefilter.fewest_samples() if self.prefilter else 1
-        if self.delay == "search":
+        if self._given == "search":
             return self.largest_delay + max(fewest, FEWEST_PAIRS)
-        return self.delay + fewest
+        return self._given + fewest
 
     def explains(self) -> bool:
         return True
@@ -307,8 +316,8 @@ class NonparametricSpec(EstimatorSpec):
 
     def _regressed(self, estimate: Estimate, record: Record) -> Record:
         """What the regression was, or would be, estimated from."""
-        delay = 0 if self.delay == 0 else int(estimate.values["delay"])
-        pairs = record if self.delay == 0 else self._pairs(record, delay)
+        delay = estimate.details.get("late", 0) if self._given == 0 else int(estimate.values["delay"])
+        pairs = self._pairs(record, delay) if delay or self._given != 0 else record
         if self.prefilter is None:
             return pairs
         linear = needed(estimate.linear)
@@ -318,27 +327,36 @@ class NonparametricSpec(EstimatorSpec):
         return None
 
     def normalisations(self) -> tuple[Normalisation, ...] | None:
-        delay = None if self.delay == "search" else self.delay
+        delay = None if self._given == "search" else self._given
         if self.prefilter is not None:
             rules = self.prefilter.normalisations()
             return None if rules is None else tuple(behind(rule, delay) for rule in rules)
         # The regression on the newest input: gamma_0 times the characteristic, and the mean of all the rest.
         plain = first_coefficient(symbol="gamma")
-        left_in = "" if self.known_point else ", a constant left in"
-        return (behind(replace(plain, rule=plain.rule + left_in), delay, responses=True),)
+        rule = plain if self.known_point else plain.leaving("constant", says=", a constant left in")
+        if self.delay is None:
+            return (replace(behind(rule, None, responses=True), rule=rule.rule),)
+        return (behind(rule, delay, responses=True),)
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         self.require_experiments(record)
         record.once("its input varies", lambda: require_varying(record.u, "input"))
-        if self.delay == 0:
+        if self.delay is None and self.prefilter is None and (noticed := self._late(record)):
+            # Behind a delay, the regression on the newest input is a constant and noise.
+            found = self._fitted(record, self._pairs(record, noticed), noticed, rng)
+            return replace(found, details={**found.details, "late": noticed})
+        if self._given == 0:
             return self._fitted(record, record, 0, rng)
-        search = self._search(record, rng) if self.delay == "search" else None
-        delay = self.delay if search is None else search.chosen
+        search = self._search(record, rng) if self._given == "search" else None
+        delay = self._given if search is None else search.chosen
         assert isinstance(delay, int)
         pairs = self._pairs(record, delay)
         require_varying(pairs.u, "input")
         found = self._fitted(record, pairs, delay, rng)
         return found if search is None else replace(found, details={**found.details, "delay": search})
+
+    def _late(self, record: Record) -> int:
+        return record.once(("late", self.largest_delay), lambda: late(record, self.largest_delay))
 
     def _pairs(self, record: Record, delay: int) -> Record:
         """The pairs behind a delay, the same ones for all estimators of this record."""
@@ -348,19 +366,21 @@ class NonparametricSpec(EstimatorSpec):
         """The estimate from the pairs of the record behind a delay, as if they were at one time."""
         dynamics, samples = (Estimate(), pairs) if self.prefilter is None else self._undone(pairs, rng)
         regression = self.regression(samples)
-        values = dynamics.values if self.delay == 0 else self._later(dynamics.values, delay)
+        values = dynamics.values if self._given == 0 else self._later(dynamics.values, delay)
         values = {**values, **self.values_of(regression)}
         left_out = EachLeftOut(regression, samples, self.known_point)
         if self.prefilter is None:
             return Estimate(self._anchored(regression), left_out, values=values)
-        linear = dynamics.linear
-        if delay and linear is not None:
+        linear, step = needed(dynamics.linear), 1.0 if record.dt is None else record.dt
+        if delay:
             linear = replace(linear, b=(0.0,) * delay + linear.b)
+        found = self._anchored(regression)
         return replace(
             dynamics,
-            nonlinearity=self._anchored(regression),
+            nonlinearity=found,
             left_out=left_out,
             linear=linear,
+            response=at_step(lambda u: linear.filter(found(u)), step),
             unfiltered=lambda: self.model_copy(update={"prefilter": None, "delay": delay}).fit(record),
             values=values,
         )

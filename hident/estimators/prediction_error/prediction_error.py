@@ -126,7 +126,9 @@ class PredictionError(AtOneInterval):
     def normalisations(self) -> tuple[Normalisation, ...] | None:
         if any(block.held for block in self.blocks):
             return None
-        return (unit_static_gain("b l1_b l2_b l3_b"),)
+        rule = unit_static_gain("b l1_b l2_b l3_b")
+        # The orders of two linear blocks with a nonlinearity between them say which of them has a delay.
+        return (replace(rule, free=rule.free | {"delay"}) if len(self._places()) > 1 else rule,)
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         fit = self.identify(record)

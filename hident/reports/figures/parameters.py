@@ -65,7 +65,7 @@ class ParameterFigure(FigureSpec):
                     look |= {"markerfacecolor": "none", "alpha": 0.75}
                     axes.errorbar(i + 0.3, *printed, label=f"{estimator}, printed", **look)
             unit = next(results.select(self.estimators[0], f"{self.metric} {name}")).unit
-            truth = unit.data.system.truth()
+            truth = unit.truth()
             if name in truth.values:
                 axes.axhline(truth.values[name], label="truth", **TRUE_LEVEL)
             axes.set_title(symbol(name))
