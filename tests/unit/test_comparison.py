@@ -10,6 +10,7 @@ from hident.config.spec import components
 from hident.errors import ConfigError
 from hident.ledger.verdicts import judge
 from hident.metrics.base import MetricSpec
+from hident.reports.base import misfits
 from hident.reports.output import check
 from hident.reports.style import style
 from tests.unit.plans import planned, refusals
@@ -208,6 +209,21 @@ def test_a_reference_is_compared_with_all_others(tmp_path):
     assert cells(found, "first", "second") == [("one", "two"), ("three", "two")]
     assert "ranks" not in found.header
     assert "rank_first" not in found.data
+
+
+def test_cases_may_be_held_or_stand_in_tables_of_their_own(tmp_path):
+    one = scores(12)
+    values = {("one", "10"): one, ("two", "10"): one + np.linspace(0.5, 1.5, 12)}
+    row = ("-1.00 [-1.21, -0.792]", "one")
+    results = made(tmp_path, values, rest=table("at: {samples: 10}"))
+    held = results.plan.experiment.tables["t"]
+    assert misfits(results.plan, held) == []
+    assert cells(held.built(results, judge(results)), "mean difference [95 %]", "better") == [row]
+    (tmp_path / "b").mkdir()
+    results = made(tmp_path / "b", values, rest=table("facets: {rows: samples}"))
+    each = results.plan.experiment.tables["t"]
+    assert misfits(results.plan, each) == []
+    assert row in cells(each.built(results, judge(results)), "mean difference [95 %]", "better")
 
 
 def test_an_estimator_that_is_left_out_has_no_row_there(tmp_path):

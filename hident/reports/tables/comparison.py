@@ -89,8 +89,9 @@ class Comparison(TableSpec):
     """Two values are tied that differ by at most so much of the larger one."""
     show: Literal["pairs", "ranks"] = "pairs"
     """One row for each case and pair, or one for each case with the rank of each method."""
+    at_is_own = True
     at: CaseLabels = {}
-    """Labels of axes that limit the cases; all by default."""
+    """Labels of axes that limit the cases, here and in the figures of this table; all by default."""
     digits: Annotated[Count, Field(ge=1, le=15)] = 3
     """Significant digits."""
 
@@ -155,13 +156,14 @@ class Comparison(TableSpec):
 
     def cases(self, plan: Plan) -> list[Case]:
         """The cases that hold at least two of the methods, the reference among them if there is one."""
-        # The labels of all units of one estimator are of the same axes.
+        # The labels of all units of one estimator are of the same axes; one that is held is none of the plan's.
+        known = {axis.name for axis in plan.axes}
         units: dict[str, dict[tuple[str, ...], Unit]] = {name: {} for name in self.named(plan)}
         own: dict[str, tuple[str, ...]] = {}
         for unit in plan.units:
             if unit.name in units and self.metric in unit.metric_labels and unit.is_at(self.at):
-                own[unit.name] = tuple(unit.labels)
-                units[unit.name][tuple(map(str, unit.labels.values()))] = unit
+                own[unit.name] = tuple(axis for axis in unit.labels if axis in known)
+                units[unit.name][tuple(str(unit.labels[axis]) for axis in own[unit.name])] = unit
         touching = {axis for axes in own.values() for axis in axes}
         axes = [axis for axis in plan.axes if axis.name in touching]
         found = []
