@@ -39,6 +39,7 @@ CHECKED = (
     "chen_fig5",
     "chen_fig8",
     "chen_table3",
+    "compare_selection",
     "mzyk_dynamics",
     "mzyk_table1_grid",
     "mzyk_variance",

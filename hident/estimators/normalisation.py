@@ -191,7 +191,9 @@ def behind(rule: Normalisation, delay: int | None, *, responses: bool = False) -
         b = significant(block.b)
         own = next(iter(np.flatnonzero(b).tolist()), 0)
         lag = own if delay is None else delay
-        if responses:
+        if responses and lag == 0:
+            b = b[:1]
+        elif responses:
             b = significant(TransferFunction(tuple(b.tolist()), block.a).impulse_response(lag + 1))
         later = TransferFunction(tuple(b[lag:].tolist()) or (0.0,), block.a)
         try:

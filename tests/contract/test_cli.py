@@ -571,7 +571,9 @@ def test_alternatives_are_run_accepted_and_change_the_verdicts(done: Lab) -> Non
     done.run()
     assert verdicts()[1] == ("untestable", 0, 0)
     owed = done.hident("verify", code=1).stdout
-    assert "alternatives: tiny: none are accepted: hident power tiny, then hident accept --power tiny" in owed
+    assert (
+        "not up to date: tiny: none are accepted: hident power tiny, then hident accept --power tiny" in owed
+    )
     shown = done.hident("power", "tiny.yaml", "--jobs", "1", "--trials", "5").stdout
     assert "## T: mutation score" in shown
     assert "| far " in shown
@@ -589,7 +591,7 @@ def test_alternatives_are_run_accepted_and_change_the_verdicts(done: Lab) -> Non
     state = json.loads(done.hident("verify", "--json").stdout)
     (table,) = state["tables"]
     assert (table["tried"], table["counts"]) == (2, {"agrees": 2})
-    assert state["alternatives"] == []
+    assert state["not up to date"] == []
     # What was run for another configuration says nothing of this one.
     done.configure(seed=5)
     done.run()

@@ -97,7 +97,7 @@ def test_every_single_phase_is_allowed(gains):
 
 def test_the_order_by_power_is_one():
     (order,) = accepted_verdicts("brouri_order")
-    assert (order.printed.printed, order.word, order.ours) == ("3", "differs", 1.0)
+    assert (order.printed.printed, order.word, order.ours) == (">3", "differs", 1.0)
     assert order.reason
 
 

@@ -67,7 +67,9 @@ def test_table_3_gives_the_printed_steady_states():
 def test_the_horizons_and_settling_times_of_examples_1_and_2_come_out():
     found = {(v.printed.table, v.printed.row, v.printed.quantity): v for v in accepted_verdicts("chen_text")}
     assert len(found) == 14
-    assert {v.word for v in found.values()} == {"exact"}
+    # One printed digit, "about 10", excludes nothing.
+    assert {v.word for (*_, quantity), v in found.items() if quantity == "settling time"} == {"untestable"}
+    assert {v.word for (*_, quantity), v in found.items() if quantity != "settling time"} == {"exact"}
     horizons = {v.printed.printed for (*_, quantity), v in found.items() if quantity == "N"}
     assert horizons == {"55", "43", "185", "68", "175", "27", "107"}
     for example, row, settling in (("Example 1", "linear element", 10.8), ("Example 2", "process", 10.1)):
@@ -93,7 +95,8 @@ def test_example_4_finds_one_time_constant_around_three_steady_states():
     assert differing(found) == {("q_b=14.2", "b0")}
     for flow in ("13.5", "14.2", "15"):
         assert found["steady states", f"pH at q_b={flow}"].word == "exact"
-        assert found[f"q_b={flow}", "eta of stage 2"].word == "exact"
+        # It rounds to the printed digit, and to the same under every alternative.
+        assert found[f"q_b={flow}", "eta of stage 2"].word == "untestable"
         a_1 = found[f"q_b={flow}", "a1"]
         assert a_1.ours == pytest.approx(1.0 / (14.2 + float(flow)), rel=0.05)
     for flow in ("13.5", "15"):

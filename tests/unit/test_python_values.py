@@ -47,7 +47,7 @@ def test_a_component_says_what_is_wrong_in_the_words_of_a_file():
         (
             lambda: Hammerstein(nonlinearity=Abs(), linear=Abs()),
             "Hammerstein: linear: must be a linear, not the nonlinearity 'abs' "
-            "(allowed: ar, arma, continuous, fir)",
+            "(allowed: ar, arma, continuous, continuous_zpk, fir, sos, zpk)",
         ),
         (
             lambda: Cases(cases={"samples": []}),
