@@ -216,12 +216,12 @@ def test_cases_may_be_held_or_stand_in_tables_of_their_own(tmp_path):
     values = {("one", "10"): one, ("two", "10"): one + np.linspace(0.5, 1.5, 12)}
     row = ("-1.00 [-1.21, -0.792]", "one")
     results = made(tmp_path, values, rest=table("at: {samples: 10}"))
-    held = results.plan.experiment.tables["t"]
+    held: Any = results.plan.experiment.tables["t"]
     assert misfits(results.plan, held) == []
     assert cells(held.built(results, judge(results)), "mean difference [95 %]", "better") == [row]
     (tmp_path / "b").mkdir()
     results = made(tmp_path / "b", values, rest=table("facets: {rows: samples}"))
-    each = results.plan.experiment.tables["t"]
+    each: Any = results.plan.experiment.tables["t"]
     assert misfits(results.plan, each) == []
     assert row in cells(each.built(results, judge(results)), "mean difference [95 %]", "better")
 

@@ -156,7 +156,7 @@ class Comparison(TableSpec):
 
     def cases(self, plan: Plan) -> list[Case]:
         """The cases that hold at least two of the methods, the reference among them if there is one."""
-        # The labels of all units of one estimator are of the same axes, of which those held are none of the plan.
+        # All units of one estimator have labels on the same axes; those held are no axes of the plan.
         known = {axis.name for axis in plan.axes}
         units: dict[str, dict[tuple[str, ...], Unit]] = {name: {} for name in self.named(plan)}
         own: dict[str, tuple[str, ...]] = {}
