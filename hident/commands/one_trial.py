@@ -299,7 +299,7 @@ def _print_scores(
             there = trial.number < len(known.there) and bool(known.there[trial.number])
             said = "" if there else "not stored"
             if there and not _same(value, known.values[trial.number]):
-                said, differing = f"stored is {known.values[trial.number]!r}", True
+                said, differing = f"stored is {float(known.values[trial.number])!r}", True
             others = known.values[np.isfinite(known.values)]
             median = f"{np.median(others):.4g}" if len(others) else "-"
             share = f"{100.0 * np.mean(others < value):.0f} %" if len(others) and not failure else "-"

@@ -20,8 +20,9 @@ from hident.config.suggest import did_you_mean
 from hident.engine.clock import Clock, Limit
 from hident.engine.experiment import Label, Plan, Unit
 from hident.engine.measurement import Measurement
-from hident.engine.trial import FAILURES, Data, Job, estimate, generate, numbers, reason
+from hident.engine.trial import FAILURES, Data, Job, estimate, generate, numbers, reason, scoring_of
 from hident.errors import ConfigError, HidentError, TrialsCrashed
+from hident.metrics.base import MetricSpec
 from hident.records import Estimate, Record, Truth
 
 T = TypeVar("T")
@@ -92,12 +93,16 @@ class OneTrial:
             found, record, failure = realised.found, realised.record, realised.failure
             values = None
             if found is not None and record is not None:
-                values, failure = self._tried(partial(numbers, metric, found, record, len(metric.labels(""))))
+                values, failure = self._tried(partial(self._scored, unit, metric, found, record))
             for i, label in enumerate(labels):
                 value = np.nan if values is None else float(values[i])
                 said = failure or ("" if np.isfinite(value) else f"the value is {value}")
                 scores[label] = (value, said)
         return scores
+
+    def _scored(self, unit: Unit, metric: MetricSpec, found: Estimate, record: Record) -> Array:
+        scoring, seen = scoring_of(metric, unit.estimator, unit.data.system.truth(), unit.data.dt)
+        return numbers(scoring, found, seen(record), len(metric.labels("")))
 
     def record(self, data: Data) -> tuple[Record | None, str]:
         """The record of a case, or None and why its simulation failed."""

@@ -138,8 +138,11 @@ def unit_static_gain(values: str = "b c") -> Normalisation:
     return Normalisation("static gain 1", _parts(values, *_BOTH), lambda truth, dt: _static_gains(truth))
 
 
-def unit_length(delay: int, lags: int, values: str) -> Normalisation:
-    """The numerator's coefficients b (lags,), from the lag ``delay`` on, have length 1 and start positive."""
+def unit_length(delay: int, lags: int, values: str, *, responses: bool = False) -> Normalisation:
+    """The numerator's coefficients b (lags,), from the lag ``delay`` on, have length 1 and start positive.
+
+    With ``responses`` they are those of a model without feedback: the impulse response of a system that has.
+    """
     span = f"b_{delay}" if lags == 1 else f"b_{delay} to b_{delay + lags - 1}"
 
     def factors(truth: Truth, dt: float | None) -> Factors | None:
@@ -147,7 +150,8 @@ def unit_length(delay: int, lags: int, values: str) -> Normalisation:
         if block is None:
             return None
         b = np.zeros(delay + lags)
-        b[: len(block.b)] = significant(block.b)[: len(b)]
+        own = significant(block.impulse_response(len(b)) if responses and block.a else block.b)[: len(b)]
+        b[: len(own)] = own
         b = b[delay:]
         if b[0] == 0.0:
             found = "are zero" if not np.any(b) else f"begin with zero, and noise gives b_{delay} a sign"

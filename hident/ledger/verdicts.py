@@ -194,7 +194,7 @@ def _with_power(verdict: Verdict, power: VerdictPower | None) -> Verdict:
     known = number.excluded if number and number.printed == verdict.printed.printed else {}
     excluded = sum(known.values())
     # Digits say something by themselves where nothing was tried.
-    idle = verdict.word == "agrees" or (verdict.word == "exact" and known)
+    idle = verdict.word == "agrees" or (verdict.word == "exact" and known and verdict.counts)
     word: Word = "untestable" if idle and not excluded else verdict.word
     return replace(verdict, word=word, excluded=excluded, alternatives=len(known))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,8 @@ _NAMES = {
 """The labels of each sort of panel, in the order of the panels."""
 _DECADES = 300.0
 """Of a smaller ratio, powers of ten alone are too few ticks."""
+_DASHES = ("-", "--", ":", "-.")
+"""Of the truths, where methods fix what no data determine by different rules."""
 _MOST = 1.5
 """How far, in units of the truth's range, an estimate is shown beyond it."""
 
@@ -71,11 +74,25 @@ def _signals(inputs: Axes, outputs: Axes, record: Record, noise_free: Array | No
         axes.set_ylabel(name)
 
 
+def _truths(shown: Mapping[str, Curve]) -> dict[str, Curve]:
+    """The curves whose truths are known and differ: each is in the form that the estimator declares."""
+    found: dict[str, Curve] = {}
+    for name, one in shown.items():
+        known = np.isfinite(one.true).any()
+        if known and not any(
+            np.array_equal(one.x, other.x) and np.allclose(one.true, other.true, equal_nan=True)
+            for other in found.values()
+        ):
+            found[name] = one
+    return found
+
+
 def _panel(axes: Axes, shown: Mapping[str, Curve], lines: Mapping[str, dict[str, object]]) -> None:
-    known = next((one for one in shown.values() if np.isfinite(one.true).any()), None)
-    if known is not None:
+    truths = _truths(shown)
+    for (name, one), dashes in zip(truths.items(), itertools.cycle(_DASHES)):
         # An estimate that is near it must not hide it.
-        axes.plot(known.x, known.true, label="true", **{**TRUTH, "linewidth": 2.4})
+        label = "true" if len(truths) == 1 else f"true, as {name} has it"
+        axes.plot(one.x, one.true, label=label, **{**TRUTH, "linewidth": 2.4, "linestyle": dashes})
     for place, (name, one) in enumerate(shown.items()):
         axes.plot(one.x, one.values, label=name, zorder=5, **marked(dict(lines[name]), place, len(one.x)))
     if axes.get_yscale() == "log":
@@ -83,10 +100,11 @@ def _panel(axes: Axes, shown: Mapping[str, Curve], lines: Mapping[str, dict[str,
         if high / low < _DECADES:
             few_log_ticks(axes.yaxis)
         return
-    if known is None:
+    if not truths:
         return
     # Of an estimate that is far off, the truth must still be seen.
-    low, high = np.nanmin(known.true), np.nanmax(known.true)
+    low = min(np.nanmin(one.true) for one in truths.values())
+    high = max(np.nanmax(one.true) for one in truths.values())
     wide = _MOST * ((high - low) or abs(high) or 1.0)
     bottom, top = axes.get_ylim()
     axes.set_ylim(max(bottom, low - wide), min(top, high + wide))

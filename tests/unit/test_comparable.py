@@ -538,3 +538,18 @@ def test_a_process_has_no_block_that_could_break_a_rule():
     assert isinstance(spec, EstimatorSpec)
     (rule,) = spec.normalisations() or ()
     assert rule.factors(data.system.truth(), 0.1) is None
+
+
+def test_a_model_without_feedback_is_normalised_by_the_impulse_response():
+    """The length of b is that of what it estimates, though the system has one numerator coefficient."""
+    system = hi.Hammerstein(nonlinearity=hi.Polynomial(coefficients=[0, 1, 0.5]), linear=hi.Ar(a=[0.8]))
+    record = hi.simulate(system, hi.Iid(distribution="uniform", low=-2, high=2), 2000)
+    metrics = {
+        "form": hi.NonlinearityPercentError(interval=[-2, 2]),
+        "impulse": hi.ImpulseResponseError(),
+    }
+    short = hi.TwoStage(lags=40, degree=2, delay=0)
+    assert max(hi.score(hi.fit(short, record), record, short, **metrics).values()) < 0.1
+    # One that has feedback holds the numerator.
+    own = hi.SeparableLeastSquares(lags=1, feedback=1, degree=2, delay=0)
+    assert max(hi.score(hi.fit(own, record), record, own, **metrics).values()) < 0.1

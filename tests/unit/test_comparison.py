@@ -223,7 +223,11 @@ def test_cases_may_be_held_or_stand_in_tables_of_their_own(tmp_path):
     results = made(tmp_path / "b", values, rest=table("facets: {rows: samples}"))
     each: Any = results.plan.experiment.tables["t"]
     assert misfits(results.plan, each) == []
-    assert row in cells(each.built(results, judge(results)), "mean difference [95 %]", "better")
+    found = each.built(results, judge(results))
+    assert row in cells(found, "mean difference [95 %]", "better")
+    # The tests of all blocks are one family: of three p-values of which two are 1, the least is tripled.
+    assert cells(found, "p")[0] == ("0.0015",)
+    assert any("over the 3 tests of this table" in note for note in found.notes)
 
 
 def test_an_estimator_that_is_left_out_has_no_row_there(tmp_path):

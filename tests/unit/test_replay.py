@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+import hident as hi
 from hident import plugins
+from hident.engine.estimate_curves import parameters
 from hident.engine.experiment import load
 from hident.engine.replay import OneTrial
 from hident.engine.runner import run
@@ -69,3 +71,36 @@ def test_what_is_not_there_is_named(lab: Lab, estimator: str, labels: dict[str, 
     with pytest.raises(ConfigError) as caught:
         OneTrial(_plan(lab), 0).of(estimator, labels)
     assert str(caught.value) == message
+
+
+def test_scores_are_those_of_the_run_where_the_truth_is_brought_to_another_form() -> None:
+    plan = hi.validate(
+        {
+            "version": 1,
+            "title": "The gain in the other block",
+            "trials": 3,
+            "samples": 300,
+            "system": {
+                "kind": "hammerstein",
+                "nonlinearity": {"kind": "polynomial", "coefficients": [0, 1, 0.5]},
+                "linear": {"kind": "fir", "b": [2, 1]},
+            },
+            "excitation": {"kind": "iid", "distribution": "uniform", "low": -2, "high": 2},
+            "noise": {"kind": "white", "std": 0.01},
+            "estimators": {"FIR": {"kind": "two_stage", "lags": 3, "degree": 2, "delay": 0}},
+            "metrics": {
+                "form": {"kind": "nonlinearity_percent_error", "interval": [-2, 2]},
+                "units": {"kind": "nonlinearity_percent_error", "interval": [-2, 2], "up_to": ["gain"]},
+                "values": {"kind": "error", "of": ["b_0", "a_1"]},
+            },
+        }
+    )
+    results = run(plan)
+    (unit,) = plan.units
+    found = OneTrial(plan, 2).scores(unit)
+    stored = {series.metric: float(series.values[2]) for series in results.series}
+    assert {label: value for label, (value, _) in found.items()} == stored
+    assert max(map(abs, stored.values())) < 1.0
+    # What is shown beside the estimate is the truth in its form.
+    for _, value, true in parameters(OneTrial(plan, 2).of_unit(unit)):
+        assert np.isnan(true) or value == pytest.approx(true, abs=0.02)

@@ -182,7 +182,7 @@ class BilinearSpec(LaggedSpec):
         return tuple(Power(exponent=j) for j in range(1, self.degree + 1))
 
     def normalisations(self) -> tuple[Normalisation, ...]:
-        return (unit_length(self.delay, self.lags, "a b"),)
+        return (unit_length(self.delay, self.lags, "a b", responses=True),)
 
     def free_parameters(self) -> int:
         # The length of b is one.

@@ -21,6 +21,7 @@ from hident.numerics.choices import TIE
 from hident.numerics.influence import hangs_on_one
 from hident.numerics.paired import LEVEL, Interval, Pair, holm, paired, trials_to_tell
 from hident.reports.base import Misfit, Table, TableSpec
+from hident.reports.facets import Grid, joined
 from hident.reports.tables.writing import written
 from hident.signals.streams import ROLES_OF_DATA
 
@@ -183,6 +184,10 @@ class Comparison(TableSpec):
 
     def compared(self, results: Results) -> list[Versus]:
         """All pairs in all cases, their p-values adjusted together."""
+        return _adjusted([self._tested(results)])[0]
+
+    def _tested(self, results: Results) -> list[Versus]:
+        """All pairs in all cases, each by itself."""
         best = self.best_of(results.plan) or "lowest"
         series = series_of_units(results, self.metric)
         found = []
@@ -193,8 +198,7 @@ class Comparison(TableSpec):
                     values[first], values[second], best=best, log=self.of == "log_ratio", equal=self.equal
                 )
                 found.append(Versus(case, first, second, pair, pair.interval(self.statistic)))
-        adjusted = holm([one.pair.p for one in found])
-        return [replace(one, adjusted=float(p)) for one, p in zip(found, adjusted, strict=True)]
+        return found
 
     def _pairs(self, names: Iterable[str]) -> Iterator[tuple[str, str]]:
         if self.reference is None:
@@ -202,8 +206,28 @@ class Comparison(TableSpec):
         else:
             yield from ((name, self.reference) for name in names if name != self.reference)
 
+    def built(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
+        if self.facets is None:
+            return super().built(results, verdicts)
+        grid = Grid(self.facets, results.plan)
+        parts = {(facet.row, facet.column): results.at(facet.labels) for facet in grid}
+        parts = {at: part for at, part in parts.items() if part.series}
+        # All blocks are one table, and its tests one family.
+        every = _adjusted([self._tested(part) for part in parts.values()])
+        tests = sum(map(_tests, every))
+        return joined(
+            grid,
+            {
+                at: self._table(part, found, tests)
+                for (at, part), found in zip(parts.items(), every, strict=True)
+            },
+        )
+
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         found = self.compared(results)
+        return self._table(results, found, _tests(found))
+
+    def _table(self, results: Results, found: Sequence[Versus], tests: int) -> Table:
         axes = tuple(found[0].case.labels)
         of_case: dict[int, list[Versus]] = {}
         for one in found:
@@ -213,7 +237,7 @@ class Comparison(TableSpec):
             header, rows = self._rows_of_pairs(found, ranked)
         else:
             header, rows = self._rows_of_ranks(results, found, ranked)
-        notes = (*self._notes(results, found), *self._warnings(results, found))
+        notes = (*self._notes(results, tests), *self._warnings(results, found))
         return Table(self.title, (*axes, *header), rows, notes, self._data(found, ranked, axes))
 
     def _rows_of_pairs(
@@ -263,10 +287,9 @@ class Comparison(TableSpec):
         estimate, *ends = (_with_infinity(value, self.digits) for value in shown)
         return f"{estimate} [{', '.join(ends)}]" if ends != ["-", "-"] else estimate
 
-    def _notes(self, results: Results, found: Sequence[Versus]) -> Iterator[str]:
+    def _notes(self, results: Results, tests: int) -> Iterator[str]:
         """What the columns mean."""
         best = self.best_of(results.plan) or "lowest"
-        tests = sum(not math.isnan(one.pair.p) for one in found)
         trials = results.plan.trials
         if self.show == "pairs":
             taken = {
@@ -383,6 +406,16 @@ def ranks(pairs: Sequence[Versus]) -> dict[str, int]:
 def series_of_units(results: Results, metric: str) -> dict[int, Series]:
     """The series of a metric by the ``id`` of their units."""
     return {id(one.unit): one for one in results.series if one.metric == metric}
+
+
+def _adjusted(parts: Sequence[Sequence[Versus]]) -> list[list[Versus]]:
+    """The pairs of all parts, their p-values adjusted as one family."""
+    adjusted = iter(holm([one.pair.p for part in parts for one in part]))
+    return [[replace(one, adjusted=float(next(adjusted))) for one in part] for part in parts]
+
+
+def _tests(found: Iterable[Versus]) -> int:
+    return sum(not math.isnan(one.pair.p) for one in found)
 
 
 def _of_pairs(some: Sequence[Versus], found: Sequence[Versus]) -> str:
