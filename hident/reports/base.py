@@ -63,8 +63,8 @@ def _misfits(plan: Plan, spec: ReportSpec, values: Sequence[Referring]) -> Itera
     if isinstance(spec, FigureSpec) and (count := spec.looks_needed(plan)) > len(LINES):
         yield (
             (),
-            f"{count} curves are to share {len(LINES)} looks: repeat the figure over an axis with 'facets', "
-            "hold labels with 'at', or name fewer estimators",
+            f"{count} curves are to share {len(LINES)} line styles: repeat the figure over an axis with "
+            "'facets', hold labels with 'at', or name fewer estimators",
         )
 
 

@@ -7,7 +7,7 @@ asks for.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Literal
@@ -29,6 +29,8 @@ _FLATTEST, _TALLEST = 0.65, 1.15
 _ROOMY = 0.6
 # Inches that a panel is wide in any case.
 _NARROWEST = 0.85
+# Share of a number's height that is free between it and the next one of an axis.
+_APART = 0.35
 # Inches that a letter of a title takes, and what stands beside axes.
 _LETTER, _LABELS = 0.062, 0.3
 _SMALL = {
@@ -109,9 +111,12 @@ class Canvas:
         """Title the columns and rows of panels, give them common limits, and label the outer axes only."""
         if self.figure is None:
             return
-        if not self.shared:
-            self._wrap_titles()
-            return
+        if self.shared:
+            self._join(titles, sides)
+        self._wrap_titles()
+        self._thin_ticks()
+
+    def _join(self, titles: list[str], sides: list[str]) -> None:
         alone = self._grid is not None and hasattr(self._grid[0, 0], "set_xlabel")
         for (row, column), axes in self.cells.items():
             cell = self._grid[row, column]
@@ -125,9 +130,12 @@ class Canvas:
                     cell.set_ylabel("")
             else:
                 cell.suptitle(", ".join(filter(None, (sides[row], titles[column]))), fontsize="medium")
-        if not alone:
+        if alone:
+            last = max(row for row, column in self.cells if self.cells[row, column])
+            _one_label([a for (row, _), [*axes] in self.cells.items() for a in axes if row == last], "x")
+            _one_label([a for (_, column), [*axes] in self.cells.items() for a in axes if not column], "y")
+        else:
             _common_limits([axes for axes in self.cells.values() if axes])
-        self._wrap_titles()
 
     def _wrap_titles(self) -> None:
         """Break titles at their commas that are wider than their axes."""
@@ -139,6 +147,68 @@ class Canvas:
             letters = int((self.figure.get_figwidth() / across / beside - _LABELS) / _LETTER)
             lines = (part for line in axes.get_title().split("\n") for part in _lines(line, letters))
             axes.set_title("\n".join(lines))
+
+    def _thin_ticks(self) -> None:
+        """Leave out numbers that a figure sets along its abscissa and that would touch; their marks stay."""
+        from matplotlib.ticker import FixedLocator
+
+        assert self.figure is not None
+        axes = [one for cell in self.cells.values() for one in cell]
+        if not any(isinstance(one.xaxis.get_major_locator(), FixedLocator) for one in axes):
+            return
+        self.figure.draw_without_rendering()
+        for one in axes:
+            if isinstance(one.xaxis.get_major_locator(), FixedLocator):
+                texts = [label.get_text() for label in one.get_xticklabels()]
+                boxes = [label.get_window_extent() for label in one.get_xticklabels()]
+                kept = _apart([(box.x0, box.x1, _APART * box.height) for box in boxes])
+                words = [text if i in kept else "" for i, text in enumerate(texts)]
+                # Panels share their marks, and those above others may show no numbers.
+                if any(words) and words != texts:
+                    one.set_xticks(one.get_xticks(), words)
+
+
+def _apart(spans: Sequence[tuple[float, float, float]]) -> set[int]:
+    """Which of texts with these beginnings, ends and distances are kept, so that none touch.
+
+    The first and the last are, and of the others as many as fit, from the left.
+
+    Examples
+    --------
+    >>> sorted(_apart([(0, 10, 2), (11, 21, 2), (30, 40, 2), (41, 51, 2)]))
+    [0, 3]
+    >>> sorted(_apart([(0, 10, 2), (15, 25, 2), (30, 40, 2)]))
+    [0, 1, 2]
+    """
+    order = sorted((i for i, span in enumerate(spans) if span[1] > span[0]), key=lambda i: spans[i][0])
+    if not order:
+        return set()
+    first, last = order[0], order[-1]
+    kept = [first]
+    for i in order[1:-1]:
+        start, end, free = spans[i]
+        if spans[kept[-1]][1] + free <= start and end + free <= spans[last][0]:
+            kept.append(i)
+    if last != first and spans[kept[-1]][1] + spans[last][2] <= spans[last][0]:
+        kept.append(last)
+    return set(kept)
+
+
+def _one_label(beside: Sequence[Any], along: Literal["x", "y"]) -> None:
+    """One label in the middle of axes beside each other, or below, in the place of equal ones.
+
+    The room of a label along its axis is none of the layout's matter, so that it may be longer than the axes.
+    """
+    labels = [getattr(axes, f"get_{along}label")() for axes in beside]
+    if len(set(labels)) > 1 or len(labels) < 2:
+        return
+    middle = (len(beside) - 1) // 2
+    for i, axes in enumerate(beside):
+        getattr(axes, f"set_{along}label")(labels[0] if i == middle else "")
+    if len(beside) % 2 == 0:
+        # Between the two in the middle: the axes go down, and their coordinate up.
+        between = {"x": 1.05} if along == "x" else {"y": -0.05}
+        getattr(beside[middle], f"set_{along}label")(labels[0], **between)
 
 
 def _title(axes: Any, above: str, beside: str) -> None:

@@ -12,7 +12,15 @@ from collections.abc import Callable, Iterable, Sequence
 
 from hident.reports.table import Table, is_number
 
-PREAMBLE = "% In the preamble: \\usepackage{booktabs}, \\usepackage{siunitx}\n"
+PREAMBLE = (
+    "% In the preamble: \\usepackage{booktabs}, \\usepackage{siunitx}; for tables wider than the page "
+    "\\usepackage{graphicx}\n"
+)
+# No wider than the line; the width is that of what stands inside.
+_SHRUNK = r"  \setlength{\tabcolsep}{3pt}\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
+# Letters and columns' edges that fit the line of an article in 10 pt.
+_WIDEST = 66
+_EDGES = 2
 _NUMBER = r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?"
 _PLAIN = re.compile(_NUMBER)
 _EMPTY = ("", "-", "nan", "inf", "none")
@@ -116,11 +124,13 @@ def table(name: str, shown: Table, caption: str, notes: Iterable[str] = ()) -> s
     kinds = [_column(cells) for cells in columns]
     head = [_heading(text, kind) for text, (kind, _) in zip(shown.header, kinds, strict=True)]
     body = [[write(cell) for cell, (_, write) in zip(row, kinds, strict=True)] for row in shown.rows]
+    shrunk = _is_wide(shown)
     lines = [
         r"\begin{table}",
         r"  \centering",
         f"  \\caption{{{escaped(caption)}}}",
         f"  \\label{{tab:{name}}}",
+        *[_SHRUNK] * shrunk,
         f"  \\begin{{tabular}}{{{' '.join(kind for kind, _ in kinds)}}}",
         r"    \toprule",
         _row(head),
@@ -128,6 +138,7 @@ def table(name: str, shown: Table, caption: str, notes: Iterable[str] = ()) -> s
         *map(_row, body),
         r"    \bottomrule",
         r"  \end{tabular}",
+        *["  }"] * shrunk,
     ]
     if said := [*map(escaped, (*shown.notes, *notes))]:
         lines += ["", r"  \medskip", r"  \begin{minipage}{\linewidth}\footnotesize"]
@@ -142,6 +153,12 @@ def caption(shown: Table, trials: int, seed: int) -> str:
     return f"{title} {trials} trial{'s' * (trials != 1)}, seed {seed}{statistic}."
 
 
+def _is_wide(shown: Table) -> bool:
+    """Whether a table would reach beyond the line: by its letters, as LaTeX alone knows their widths."""
+    columns = zip(shown.header, *shown.rows, strict=True)
+    return sum(max(map(len, column)) + _EDGES for column in columns) > _WIDEST
+
+
 def _row(cells: Sequence[str]) -> str:
     return f"    {' & '.join(cells)} \\\\"
 
@@ -149,7 +166,9 @@ def _row(cells: Sequence[str]) -> str:
 def _column(cells: Sequence[str]) -> tuple[str, Callable[[str], str]]:
     """What kind of column it is, and what writes its cells: numbers at their decimal points if all are."""
     numbers = [cell for cell in cells if _PLAIN.fullmatch(cell)]
-    if numbers and all(cell in _EMPTY or _PLAIN.fullmatch(cell) for cell in cells):
+    # Where only some have an exponent, its room would part those from their neighbours.
+    alike = len({"e" in number for number in numbers}) == 1
+    if alike and all(cell in _EMPTY or _PLAIN.fullmatch(cell) for cell in cells):
         return f"S[table-format={_format(numbers)}]", _plain
     to_left = all(not is_number(cell) for cell in cells)
     return "l" if to_left else "r", _cell

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 
 import numpy as np
@@ -10,8 +11,9 @@ import pytest
 from hident.errors import ConfigError
 from hident.ledger.verdicts import judge
 from hident.reports.base import FigureSpec, TableSpec
+from hident.reports.canvas import Canvas, drawn_on
 from hident.reports.output import Outputs, check
-from hident.reports.style import LINES, printed, style
+from hident.reports.style import LINES, printed, style, subplots
 from tests.unit.results_maker import PUBLISHED, made
 
 AXES = "  sigma: [0.5, 1, 2]\n  law: {uniform: {excitation.high: 2}, other: {excitation.high: 3}}\n"
@@ -68,7 +70,10 @@ def test_a_curve_over_two_axes_has_a_panel_for_each_pair_of_labels(tmp_path):
     assert [axes.get_title() for axes in grid[1]] == ["", ""]
     assert [axes.texts[0].get_text() for axes in grid[:, 1]] == ["s = 0.5", "s = 1", "s = 2"]
     assert [axes.get_xlabel() for axes in grid[:, 0]] == ["", "", "N"]
-    assert [axes.get_ylabel() for axes in grid[0]] == ["error", ""]
+    # Of equal labels one stands in the middle.
+    assert [axes.get_ylabel() for axes in grid.flat] == ["", "", "error", "", "", ""]
+    assert [axes.get_xlabel() for axes in grid[2]] == ["N", ""]
+    assert grid[2, 0].xaxis.label.get_position()[0] > 1.0
     for row, sigma in zip(grid, (0.5, 1.0, 2.0), strict=True):
         for axes, law in zip(row, (0.0, 0.25), strict=True):
             lines = lines_of(axes)
@@ -79,6 +84,40 @@ def test_a_curve_over_two_axes_has_a_panel_for_each_pair_of_labels(tmp_path):
             assert axes.get_ylim() == grid[0, 0].get_ylim()
     [legend] = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["one", "two"]
+
+
+def _boxes(texts):
+    return sorted((text.get_window_extent() for text in texts if text.get_text()), key=lambda box: box.x0)
+
+
+@pytest.mark.parametrize(
+    ("size", "kept"), [("column", ["50", "400", "1600"]), ("page", ["50", "100", "400", "1600"])]
+)
+def test_in_narrow_panels_no_numbers_and_no_labels_touch(size, kept):
+    samples = [50, 100, 400, 1600]
+    with style(), drawn_on(Canvas(size, 2, 3)) as canvas:
+        for canvas.at in itertools.product(range(2), range(3)):
+            figure, axes = subplots(figsize=(3.4, 2.6))
+            axes.plot(samples, samples)
+            axes.set_xscale("log")
+            axes.set_xticks(samples, [str(n) for n in samples])
+            axes.set_xticks([], minor=True)
+            axes.set_xlabel("number of samples")
+            axes.set_ylabel("integrated squared error of the nonlinearity")
+        canvas.finish(["a", "b", "c"], ["d", "e"])
+        figure.draw_without_rendering()
+    below = figure.axes[3:]
+    assert [label.get_text() for label in below[0].get_xticklabels() if label.get_text()] == kept
+    assert figure.axes[0].get_xticks().tolist() == samples
+    for axes in below:
+        boxes = _boxes(axes.get_xticklabels())
+        assert len(boxes) == len(kept)
+        assert all(left.x1 < right.x0 for left, right in itertools.pairwise(boxes))
+    [across] = _boxes(axes.xaxis.label for axes in figure.axes)
+    [up] = _boxes(axes.yaxis.label for axes in figure.axes)
+    for start, end, room in ((across.x0, across.x1, figure.bbox.x1), (up.y0, up.y1, figure.bbox.y1)):
+        assert start > 0.0
+        assert end < room
 
 
 def test_labels_are_held(tmp_path):
@@ -93,7 +132,7 @@ def test_without_them_each_case_is_a_curve_of_its_own_and_too_many_are_refused(t
     with pytest.raises(ConfigError) as refused:
         check(results.plan)
     assert str(refused.value).endswith(
-        "figures.f: 12 curves are to share 6 looks: repeat the figure over an axis with 'facets', hold "
+        "figures.f: 12 curves are to share 6 line styles: repeat the figure over an axis with 'facets', hold "
         "labels with 'at', or name fewer estimators"
     )
 

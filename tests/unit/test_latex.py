@@ -58,6 +58,20 @@ def test_plain_numbers_stand_at_their_points():
     assert r"{N} & {$a_{1}$} & {e} \\" in latex.table("t", table, "C")
 
 
+def test_where_some_numbers_have_an_exponent_none_is_set_apart():
+    table = Table("T", ("p",), (("6.9e-05",), ("0.00088",), ("1.0",), ("-",)))
+    assert kinds(table) == "r"
+    assert rows(table) == [[r"\num{6.9e-05}"], [r"\num{0.00088}"], [r"\num{1.0}"], ["--"]]
+
+
+def test_a_wide_table_is_shrunk_to_the_line():
+    wide = Table("T", ("a", "b"), (("x" * 40, "y" * 30),))
+    narrow = Table("T", ("a", "b"), (("x" * 30, "y" * 30),))
+    assert latex.table("t", wide, "C").count(r"\resizebox") == 1
+    assert re.search(r"\\end\{tabular\}\n  \}\n", latex.table("t", wide, "C"))
+    assert r"\resizebox" not in latex.table("t", narrow, "C")
+
+
 def test_numbers_among_signs_are_set_by_siunitx_and_verdicts_keep_their_marks():
     cells = (
         ("b_1", "0.45 ± 0.01", "0.447 = ± 0.01 =", "1.2 [0.4, 5.2]", "7.1 ~ p73", ">= 3", "12 of 13"),
