@@ -161,10 +161,14 @@ def _series(plan: Plan, reader: Reader, unit: Unit, metric: str) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _Series:
-    """The stored values (N,) of a label, and whether each trial is stored."""
+    """The stored values (N,) of a label, and whether each trial is stored.
+
+    ``by_modulus`` is whether they are the better the nearer they are to zero, from either side.
+    """
 
     values: np.ndarray
     there: np.ndarray
+    by_modulus: bool
 
 
 def _stored(plan: Plan, reader: Reader, unit: Unit) -> dict[str, _Series]:
@@ -175,7 +179,8 @@ def _stored(plan: Plan, reader: Reader, unit: Unit) -> dict[str, _Series]:
         for scores in reader.trials(key, plan.trials):
             there[scores.trials] = True
         values = _series(plan, reader, unit, name)
-        found |= {label: _Series(values[:, i], there) for i, label in enumerate(metric.labels(name))}
+        signed = metric.best == "zero"
+        found |= {label: _Series(values[:, i], there, signed) for i, label in enumerate(metric.labels(name))}
     return found
 
 
@@ -302,7 +307,12 @@ def _print_scores(
                 said, differing = f"stored is {float(known.values[trial.number])!r}", True
             others = known.values[np.isfinite(known.values)]
             median = f"{np.median(others):.4g}" if len(others) else "-"
-            share = f"{100.0 * np.mean(others < value):.0f} %" if len(others) and not failure else "-"
+            here, share = value, "-"
+            if known.by_modulus:
+                others, here = np.abs(others), np.abs(here)
+            if len(others) and not failure:
+                modulus = " by modulus" * known.by_modulus
+                share = f"{100.0 * np.mean(others < here):.0f} %{modulus}"
             rows.append((name, label, "failed" if failure else f"{value:.6g}", median, share, said))
     print_columns(rows)
     if differing:

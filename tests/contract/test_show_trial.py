@@ -98,6 +98,14 @@ def test_the_worst_and_the_best_are_found(done: Lab, values: pd.DataFrame) -> No
     assert f"trial {worst['trial']} of estimator 'iv' at samples 80" in found
 
 
+def test_of_a_signed_error_the_share_counts_moduli(done: Lab) -> None:
+    for option, share in (("--worst", "83 % by modulus"), ("--best", "0 % by modulus")):
+        [row] = [
+            line for line in _show(done, option, "a a_1", "--estimator", "iv").splitlines() if "iv  " in line
+        ]
+        assert share in row
+
+
 def test_of_a_fit_the_least_is_worst(lab: Lab) -> None:
     two_stage = {"kind": "two_stage", "lags": 3, "degree": 3}
     lab.configure(

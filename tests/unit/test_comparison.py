@@ -50,7 +50,7 @@ def test_a_pair_has_its_difference_with_an_interval_its_wins_and_a_test(tmp_path
     values = {("one", "10"): one, ("two", "10"): one + np.linspace(0.5, 1.5, 12)}
     found = built(made(tmp_path, values, rest=table()))
     assert found.header == (
-        *("samples", "first", "second", "mean difference [95 %]", "wins", "p", "better", "ranks"),
+        *("samples", "first", "second", "mean difference [95 %]", "wins", "adjusted p", "better", "ranks"),
     )
     # sd of 12 even steps 0.328, times t = 2.201, over sqrt(12).
     assert found.rows[0] == ("10", "one", "two", "-1.00 [-1.21, -0.792]", "100 %", "0.0015", "one", "1, 2")
@@ -58,7 +58,7 @@ def test_a_pair_has_its_difference_with_an_interval_its_wins_and_a_test(tmp_path
     assert found.rows[1] == ("100", "one", "two", "0 [0, 0]", "50 %", "1.0", "tied", "1, 1")
     assert found.notes == (
         "Mean of first less second in the same trials, with a 95 % interval for each pair by itself. Wins: "
-        "trials in which the first has the mise that is lower, ties counting half.",
+        "trials in which the first has the lower value of 'mise', ties counting half.",
         "Better: by Wilcoxon's signed-rank test of the differences at 5 %, adjusted by Holm over the 3 tests "
         "of this table.",
         "Rank: one more than the number of methods that are better in that case.",
@@ -161,9 +161,9 @@ def test_the_family_is_the_whole_table(tmp_path):
     values = {("one", n): one for n in ("10", "100", "1000")} | {("two", "10"): one + scores(7, 2)}
     found = built(made(tmp_path, values, rest=table()))
     # 2/128, three times; the others are ones against other numbers.
-    assert cells(found, "p")[0] == ("0.047",)
+    assert cells(found, "adjusted p")[0] == ("0.047",)
     alone = built(made(tmp_path, values, rest=table("at: {samples: 10}")))
-    assert cells(alone, "p") == [("0.016",)]
+    assert cells(alone, "adjusted p") == [("0.016",)]
 
 
 # --- ranks

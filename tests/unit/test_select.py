@@ -416,6 +416,7 @@ class TestConfiguration:
         figure = results.plan.experiment.figures["search"].draw(results, [])  # type: ignore[attr-defined]
         (axes,) = (axes for axes in figure.axes if axes.lines)
         assert axes.get_title().startswith("Selected\nchosen: bandwidth.h0 ")
+        assert axes.get_ylabel() == "mean squared prediction error\n(leave-one-out)"
         assert axes.lines[0].get_xdata().tolist() == [0.1, 1.0]
 
     def test_a_variable_stands_for_a_value(self, tmp_path):

@@ -16,11 +16,16 @@ from hident.ledger.verdicts import Verdict
 from hident.records import needed
 from hident.reports.base import Misfit
 from hident.reports.one_trial.base import OneTrialFigure, say_failed, true_curve
-from hident.reports.style import DATA, ESTIMATE, TRUTH, label_edges, legend_above, subplots
+from hident.reports.style import DATA, ESTIMATE, TRUTH, Look, label_edges, legend_above, subplots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+# Dashes with a light rim on a wide truth: both are seen where they agree, and over the data, in grey too.
+_TRUTH: Look = {**TRUTH, "linewidth": 3.2}
+_ESTIMATE: Look = {**ESTIMATE, "linestyle": (0, (3, 2)), "linewidth": 1.2}
+_RIM = 2.2
 
 
 @component("figure", "realisation")
@@ -74,14 +79,18 @@ class Realisation(OneTrialFigure):
         return figure
 
     def _panel(self, axes: Axes, realised: Realised) -> None:
+        from matplotlib.patheffects import withStroke
+
         u = np.linspace(*self.interval, 2001)
         if realised.record is not None:
             axes.plot(realised.record.u, realised.record.y, label="data", **DATA)
-        axes.plot(u, true_curve(realised.truth, u), label="true μ", **TRUTH)
+        axes.plot(u, true_curve(realised.truth, u), label="true μ", **_TRUTH)
         if realised.found is None:
             say_failed(axes, f"failed: {realised.failure}")
         else:
             with np.errstate(all="ignore"):
-                axes.plot(u, needed(realised.found.nonlinearity)(u), label="estimate", **ESTIMATE)
+                estimate = needed(realised.found.nonlinearity)(u)
+                rim = [withStroke(linewidth=_RIM, foreground="white")]
+                axes.plot(u, estimate, label="estimate", path_effects=rim, **_ESTIMATE)
         if self.y_limits is not None:
             axes.set_ylim(*self.y_limits)

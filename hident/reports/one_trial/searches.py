@@ -14,7 +14,7 @@ from hident.config.spec import Count, NonEmpty, component
 from hident.engine.replay import OneTrial
 from hident.engine.results import Results
 from hident.estimators.moving_horizon.searches import PartitionSearch, StructureSearch
-from hident.estimators.selection.select import Selection
+from hident.estimators.selection.select import Criterion, Selection
 from hident.ledger.verdicts import Verdict
 from hident.reports.one_trial.base import NOTE, OneTrialFigure, Shown, say_failed
 from hident.reports.style import LINES, Look, few_log_ticks, legend_above, panel_grid
@@ -24,6 +24,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _WORST = 10.0
+_CRITERIA: dict[Criterion, str] = {
+    "cross_validation": "mean squared prediction error\n(cross-validation)",
+    "holdout": "mean squared prediction error\n(samples held out)",
+    "leave_one_out": "mean squared prediction error\n(leave-one-out)",
+    "aic": "AIC",
+    "bic": "BIC",
+    "fpe": "final prediction error (FPE)",
+}
 # A setting whose values span this factor has a logarithmic axis.
 _WIDE = 8.0
 # As many values are written at their places.
@@ -90,7 +98,7 @@ class Search(OneTrialFigure):
                 selection: Selection = realised.detail("selection")
                 axes.set_title(f"{panel.text}\n{draw_selection(axes, selection)}")
                 axes.set_xlabel(panel.x_label or abscissa_of(selection))
-                axes.set_ylabel(panel.y_label or selection.by.replace("_", "-"))
+                axes.set_ylabel(panel.y_label or _CRITERIA[selection.by])
             else:
                 best = draw_partition(axes, realised.detail("partition"))
                 axes.set_title(f"{panel.text}\n{best}")

@@ -28,7 +28,11 @@ from hident.signals.streams import ROLES_OF_DATA
 if TYPE_CHECKING:
     import pandas as pd
 
-_BEST: Mapping[Best, str] = {"lowest": "lower", "highest": "higher", "zero": "nearer to zero"}
+_BEST: Mapping[Best, str] = {
+    "lowest": "lower value of",
+    "highest": "higher value of",
+    "zero": "value nearer to zero of",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +251,7 @@ class Comparison(TableSpec):
         geometric = "geometric " * (self.statistic == "mean" and self.of == "log_ratio")
         what = f"{geometric}{self.statistic} {'difference' if self.of == 'difference' else 'ratio'}"
         all_pairs = self.reference is None
-        header = ("first", "second", f"{what} [95 %]", "wins", "p", "better")
+        header = ("first", "second", f"{what} [95 %]", "wins", "adjusted p", "better")
         rows = []
         for one in found:
             own = ranked[id(one.case)]
@@ -301,11 +305,12 @@ class Comparison(TableSpec):
             size = " of the moduli" if best == "zero" else ""
             yield (
                 f"{taken}{size} in the same trials, with a 95 % interval for each pair by itself. Wins: "
-                f"trials in which the first has the {self.metric} that is {_BEST[best]}, ties counting half."
+                f"trials in which the first has the {_BEST[best]} '{self.metric}', ties counting half."
             )
         better = "Better" if self.show == "pairs" else "Better than another"
+        tested = "logarithms of the ratios" if self.of == "log_ratio" else "differences"
         yield (
-            f"{better}: by Wilcoxon's signed-rank test of the differences at 5 %, adjusted by Holm over "
+            f"{better}: by Wilcoxon's signed-rank test of the {tested} at 5 %, adjusted by Holm over "
             f"the {tests} test{'s' * (tests != 1)} of this table."
         )
         if self.reference is None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from hident.config.references import AxisName, EstimatorName, MetricLabel
 from hident.config.spec import Count, Flag, NonEmpty, Spec, component
@@ -29,6 +29,15 @@ _WORDS: dict[Quantity, str] = {
 }
 
 
+def _one_axis(rows: Any) -> Any:
+    if isinstance(rows, list):
+        raise ValueError(
+            "must be one axis: the labels of others that vary join its cells, and 'facets: {rows: AXIS}' "
+            "gives one a column of its own"
+        )
+    return rows
+
+
 class Column(Spec):
     """One column of a grid."""
 
@@ -46,7 +55,7 @@ class Column(Spec):
 class Grid(TableSpec):
     """One row for each label of an axis, one column for each estimator, printed numbers beside ours."""
 
-    rows: AxisName
+    rows: Annotated[AxisName, BeforeValidator(_one_axis)]
     """The axis that goes down."""
     row_header: str | None = None
     """Heading of the first column; the axis by default."""
