@@ -137,8 +137,8 @@ _STORE, _OUT, _RESULTS = Path(".hident"), Path("out"), Path("results")
 
 Listed = StrEnum(
     "Listed",
-    "estimators systems linears nonlinearities excitations noises streams metrics bases tables figures "
-    "configs",
+    "estimators systems linears nonlinearities excitations noises streams metrics bases blocks tables "
+    "figures configs",
 )
 
 

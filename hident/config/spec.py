@@ -201,7 +201,8 @@ class Spec(BaseModel, metaclass=_Meta):
             case "bool_type":
                 message = "must be true or false"
             case "string_type":
-                message = "must be text"
+                several = isinstance(detail["input"], list)
+                message = "must be one text, not a list" if several else "must be text"
         message = message.removeprefix("Value error, ").replace("Input should be", "must be")
         written = _as_written(loc, data, message)
         if message in (_A_NUMBER, _A_WHOLE_NUMBER) and len(written) == 1 and written[0] in cls.model_fields:

@@ -323,7 +323,16 @@ def _unsound(axis: Axis, data: Mapping[str, Any]) -> Iterator[str]:
     """What an axis may not do."""
     if axis.name in (*_COLUMNS, *_QUANTILES, *_EXPORTED):
         yield f"an axis cannot be named '{axis.name}', which is a column of the results"
-    for path in dict.fromkeys(patch.path for point in axis.points for patch in point.patches):
+    paths = dict.fromkeys(patch.path for point in axis.points for patch in point.patches)
+    if meant := next((one for one in axis.points if _is_value(one)), None):
+        kind = next(patch.value for patch in meant.patches if patch.path == "kind")
+        yield (
+            f"under the label '{meant.label}' stands a mapping, which says by key paths what the label sets, "
+            f"and 'kind' is no such path: if it is the value of ${axis.name}, write "
+            f"{meant.label}: {{${axis.name}: {{kind: {kind}, ...}}}}"
+        )
+        return
+    for path in paths:
         head, *rest = path.split(".")
         if head not in CHANGEABLE:
             yield _cannot_change(head)
@@ -336,6 +345,12 @@ def _unsound(axis: Axis, data: Mapping[str, Any]) -> Iterator[str]:
                 yield f"{named}{near} (there are: {one_of(known) or 'none'})"
             elif head == "metrics" and rest[1:] in ([], ["estimators"]):
                 yield f"a case cannot change '{path}', only settings of the metric"
+
+
+def _is_value(point: Point) -> bool:
+    """Whether the mapping under a label is a component, and names nothing that a case can change."""
+    heads = {patch.path.partition(".")[0] for patch in point.patches}
+    return "kind" in heads and heads.isdisjoint(CHANGEABLE)
 
 
 def _misplaced(axis: Axis, document: Document) -> list[Complaint]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Facets(Spec):
-    """The axes over whose labels a table or a figure is repeated."""
+    """One of 'rows' and 'columns' at least, each an axis of its own."""
 
     rows: AxisName | None = None
     """The axis that goes down."""

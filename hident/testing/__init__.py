@@ -75,7 +75,8 @@ def checks(
     Parameters
     ----------
     component : Component
-        With the settings to try: of an estimator, better several, one after the other.
+        The component to check, with settings of your choice. What it owes may depend on them: check an
+        estimator at several, each by a call of its own.
     data : mapping, optional
         The data of a case, by the keys of a configuration: ``system``, ``excitation``, ``noise``,
         ``samples``, ``dt``. By default 300 samples of a Hammerstein system with a cubic and a pole at 0.5.

@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 import hident
 from hident import plugins
 from hident.cli import Listed, app
-from hident.config.spec import components
+from hident.config.spec import PLURALS, components
 from hident.progress import Lines
 from tests.forked import Forked
 
@@ -87,6 +87,7 @@ def test_list_of_everything_has_every_family_and_one_line_for_each_component(lab
     lines = lab.hident("list").stdout.splitlines()
     assert [line for line in lines if not line.startswith(" ")] == [f"{listed.value}:" for listed in Listed]
     assert "  iid " in "\n".join(lines)
+    assert {listed.value for listed in Listed} == {*PLURALS, "configs"}
 
 
 @pytest.mark.parametrize("family", [listed.value for listed in Listed if listed.value != "configs"])

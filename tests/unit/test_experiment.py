@@ -400,6 +400,11 @@ class TestMessages:
                 f"cases.sampels: a case cannot change 'sampels'; did you mean 'samples'? ({CHANGEABLE}), "
                 "and nothing uses '$sampels'",
             ),
+            (
+                "{n: {a: {kind: iid, low: -1}, b: {kind: iid, low: -2}}}",
+                "cases.n: under the label 'a' stands a mapping, which says by key paths what the label sets, "
+                "and 'kind' is no such path: if it is the value of $n, write a: {$n: {kind: iid, ...}}",
+            ),
             ("{n: {a: {title: b}}}", f"cases.n: a case cannot change 'title' ({CHANGEABLE})"),
             (
                 "{estimators.kk.order: [1]}",

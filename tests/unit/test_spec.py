@@ -218,6 +218,7 @@ ALLOWED = "allowed: number, colour, on, inner, several, either, texts, table, no
         ({"number": 1, "several": {}}, "several: must be a list"),
         ({"number": 1, "texts": []}, "texts: must be a list of at least 1"),
         ({"number": 1, "texts": ["a", 1]}, "texts[1]: must be text"),
+        ({"number": 1, "texts": [["a"]]}, "texts[0]: must be one text, not a list"),
         ({"number": 1, "table": 3}, "table: must be a mapping of keys to values"),
         ({"number": 1, "table": {"a b": "c"}}, "table.a b: must be a whole number"),
         (

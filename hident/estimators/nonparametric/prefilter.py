@@ -132,7 +132,7 @@ class Regression(Protocol):
 
 
 class KnownPoint(Spec):
-    """A point at which the characteristic is known."""
+    """An input, and the characteristic there."""
 
     u: Real
     """The input."""

@@ -256,7 +256,7 @@ class StageSpec(Spec):
 
 
 class SecondStageSpec(Spec):
-    """The structure of a linear block and the horizons that it is found with."""
+    """Orders and delay, and lengths in the unit of dt."""
 
     instead: ClassVar[Mapping[str, str]] = {
         "n": "'structure: search' finds n and m",
