@@ -226,7 +226,7 @@ def test_cases_may_be_held_or_stand_in_tables_of_their_own(tmp_path):
     found = each.built(results, judge(results))
     assert row in cells(found, "mean difference [95 %]", "better")
     # The tests of all blocks are one family: of three p-values of which two are 1, the least is tripled.
-    assert cells(found, "p")[0] == ("0.0015",)
+    assert cells(found, "adjusted p")[0] == ("0.0015",)
     assert any("over the 3 tests of this table" in note for note in found.notes)
 
 
