@@ -57,10 +57,24 @@ def meaning(path):
     }
 
 
+# How much of a search a panel shows, said for its readers only.
+SAID_SINCE = " (16 of 64 pairs)"
+
+
 @pytest.mark.parametrize("path", FIRST, ids=lambda path: path.stem)
 def test_a_configuration_gives_the_same_units_tables_and_figures(path):
     plugins.load()
-    assert meaning(ROOT / "configs" / path.name) == meaning(path)
+    now = without(meaning(ROOT / "configs" / path.name), SAID_SINCE)
+    assert now == meaning(path)
+
+
+def without(value, text):
+    """What was read, without a text that was added to labels."""
+    if isinstance(value, dict):
+        return {key: without(item, text) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(without(item, text) for item in value)
+    return value.replace(text, "") if isinstance(value, str) else value
 
 
 def test_there_is_a_first_writing_to_compare_with():
