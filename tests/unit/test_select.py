@@ -354,6 +354,37 @@ class TestPassesThrough:
         found = hi.fit(hi.Select(by="cross_validation", over=over, estimator=inner), record_of())
         assert set(found.values) == {"selected bandwidth.h0", "selected estimator.kernel"}
 
+    @pytest.mark.parametrize("by", ["cross_validation", "holdout"])
+    def test_a_selection_within_a_selection_within_a_selection(self, by):
+        inner = {
+            "kind": "select",
+            "by": "bic",
+            "over": {"degree": ["1..4"]},
+            "estimator": {"kind": "two_stage"},
+        }
+        middle = {"kind": "select", "by": "holdout", "over": {"estimator.delay": [0, 1]}, "estimator": inner}
+        record = record_of()
+        over = {"estimator.estimator.lags": ["1..3"]}
+        found = hi.fit(hi.Select(by=by, over=over, estimator=middle), record)
+        assert found.values["selected estimator.estimator.lags"] == 3.0
+        assert found.values["selected estimator.delay"] == 0.0
+        assert found.values["selected degree"] == 3.0
+        assert selected(found).within.within.estimator == hi.TwoStage(degree=3, delay=0, lags=3)
+        # Each selection is judged by the error of the estimate that it took.
+        plain = hi.Select(by=by, over={"lags": ["1..3"]}, estimator=TWO_STAGE)
+        np.testing.assert_allclose(
+            selected(found).criterion[2], selected(hi.fit(plain, record)).criterion[2], rtol=1e-12
+        )
+
+    def test_two_selections_that_choose_by_one_name_are_refused(self):
+        inner = {"kind": "select", "over": {"lags": [1, 2]}, "estimator": TWO_STAGE}
+        middle = {"kind": "select", "over": {"by": ["aic", "bic"]}, "estimator": inner}
+        with pytest.raises(
+            ConfigError,
+            match="'over' chooses 'by', and so does a selection inside: both would be called 'selected by'",
+        ):
+            hi.Select(by="holdout", over={"by": ["cross_validation", "holdout"]}, estimator=middle)
+
     def test_its_canonical_form_and_pickle_make_the_same_candidates(self):
         over = {"bandwidth.h0": ["1/5", 1], "kernel": ["gaussian", "triangular"]}
         select = hi.Select(

@@ -46,7 +46,8 @@ class Selection:
 
     ``over`` holds the values of each setting, ``criterion`` (C,) that of each candidate: all combinations of
     the values, the last setting varying the fastest. Those that failed have nan, and their reasons stand in
-    ``failures``. ``chosen`` is the place of the one that was taken, ``estimator`` itself.
+    ``failures``. ``chosen`` is the place of the one that was taken, ``estimator`` itself, and ``within`` how
+    that chose, if it is a selection too.
     """
 
     by: Criterion
@@ -55,6 +56,7 @@ class Selection:
     failures: Mapping[int, str]
     chosen: int
     estimator: EstimatorSpec
+    within: Selection | None = None
 
     def word(self, path: str, place: int) -> str:
         """A value of a setting as a label shows it."""
@@ -144,6 +146,12 @@ class Select(EstimatorSpec):
         for candidate in self.candidates:
             if lacks := self._lacks(candidate):
                 raise PydanticCustomError("config", f"'{self.by}' {lacks}")
+            for path in self.over:
+                if (name := _name(path)) in candidate.names():
+                    raise ValueError(
+                        f"'over' chooses '{path}', and so does a selection inside: both would be called "
+                        f"'{name}'; choose by the path from here, such as estimator.{path}"
+                    )
         return self
 
     def _lacks(self, candidate: EstimatorSpec) -> str:
@@ -173,7 +181,7 @@ class Select(EstimatorSpec):
         """For each candidate its values of the settings, as numbers by the names of the estimate's."""
         paths = sorted(self.over)
         numbers = [as_numbers(self.over[path]) for path in paths]
-        names = [f"selected {path}" for path in paths]
+        names = list(map(_name, paths))
         return tuple(dict(zip(names, chosen, strict=True)) for chosen in itertools.product(*numbers))
 
     def names(self) -> list[str]:
@@ -240,10 +248,12 @@ class Select(EstimatorSpec):
         return all(candidate.explains() for candidate in self.candidates)
 
     def errors(self, estimate: Estimate, record: Record) -> Array:
-        return _selection(estimate).estimator.errors(estimate, record)
+        chosen, own = _chosen(estimate)
+        return chosen.errors(own, record)
 
     def left_out_errors(self, estimate: Estimate, record: Record) -> Array:
-        return _selection(estimate).estimator.left_out_errors(estimate, record)
+        chosen, own = _chosen(estimate)
+        return chosen.left_out_errors(own, record)
 
     def free_parameters(self) -> None:
         return None
@@ -270,7 +280,8 @@ class Select(EstimatorSpec):
         estimator = self.candidates[chosen]
         estimate = whole[chosen] if chosen in whole else estimator.fit(record, rng)
         over = {path: tuple(self.over[path]) for path in sorted(self.over)}
-        selection = Selection(self.by, over, criterion, failures, chosen, estimator)
+        within = estimate.details.get("selection")
+        selection = Selection(self.by, over, criterion, failures, chosen, estimator, within)
         return replace(
             estimate,
             values={**estimate.values, **self._selected[chosen]},
@@ -367,10 +378,16 @@ class Select(EstimatorSpec):
         return f"all {len(failures)} candidates fail, among others: {'; '.join(said)}"
 
 
-def _selection(estimate: Estimate) -> Selection:
+def _name(path: str) -> str:
+    """What an estimate's values call the choice of a setting."""
+    return f"selected {path}"
+
+
+def _chosen(estimate: Estimate) -> tuple[EstimatorSpec, Estimate]:
+    """The estimator that a selection took, and the estimate as that one gave it."""
     found = estimate.details["selection"]
     assert isinstance(found, Selection)
-    return found
+    return found.estimator, replace(estimate, details={**estimate.details, "selection": found.within})
 
 
 def _size(record: Record) -> float:
