@@ -509,6 +509,10 @@ class TestConfiguration:
                 "a.yaml:12: estimators.k.over: makes 1001 candidates, and at most 1000 are tried",
             ),
             (
+                {BANDWIDTH: "over: {bandwidth.h0: [1..1000000000], kernel: [gaussian, triangular]}"},
+                "a.yaml:12: estimators.k.over: makes 2000000000 candidates, and at most 1000 are tried",
+            ),
+            (
                 {"kernel, kernel: gaussian": "kernl, kernel: gaussian"},
                 "a.yaml:13: estimators.k.estimator.kind: unknown estimator; did you mean 'kernel'?",
             ),

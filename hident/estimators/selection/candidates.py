@@ -59,20 +59,22 @@ def axes_of(over: Mapping[str, Any]) -> dict[str, list[Value]]:
     if not over:
         message = "must name at least one key path in the estimator, such as bandwidth.h0"
         problems.append(_problem(message, ("over",), over))
-    axes: dict[str, list[Value]] = {}
+    written: dict[str, list[Sequence[Any]]] = {}
     for path in sorted(over, key=str):
         values = over[path]
-        wrong = _wrong(path, values, over)
-        if wrong:
+        if wrong := _wrong(path, values, over):
             problems.append(_problem(wrong, ("over", path), values))
-            continue
-        axes[path] = [Value(one, place) for place, value in enumerate(values) for one in _spread(value)]
-    total = math.prod(map(len, axes.values()))
+        else:
+            written[path] = [_spread(value) for value in values]
+    total = math.prod(sum(map(_count, spreads)) for spreads in written.values())
     if total > _MOST:
         problems.append(_problem(f"makes {total} candidates, and at most {_MOST} are tried", ("over",), over))
     if problems:
         raise ValidationError.from_exception_data("over", problems)
-    return axes
+    return {
+        path: [Value(one, place) for place, spread in enumerate(spreads) for one in spread]
+        for path, spreads in written.items()
+    }
 
 
 def _wrong(path: Any, values: Any, over: Mapping[str, Any]) -> str:
@@ -94,7 +96,12 @@ def _spread(value: Any) -> Sequence[Any]:
         return [value]
     first, last = int(found[1]), int(found[2])
     # A range that is none is left for the estimator to refuse.
-    return range(first, last + 1)[: _MOST + 1] if first <= last else [value]
+    return range(first, last + 1) if first <= last else [value]
+
+
+def _count(spread: Sequence[Any]) -> int:
+    """How many values there are; len() is of no range beyond the integers of the machine."""
+    return spread.stop - spread.start if isinstance(spread, range) else len(spread)
 
 
 def candidates_of(
