@@ -339,13 +339,18 @@ class Reader:
             yield row
 
     def trials(self, key: str, below: int) -> Iterator[Scores]:
-        """The stored scores of a key in trials with numbers under ``below``, in order."""
+        """The stored scores of a key in trials with numbers under ``below``, in order and each trial once."""
         query = "SELECT rowid, data FROM blocks WHERE key = ? AND first < ? ORDER BY first"
+        end = 0
         for row, data in self._rows(query, key, below):
             block = Block.decoded(data)
             if block is None or block.key != key:
                 self._damaged.append((row,))
-            elif (scores := block.scores.below(below)).trials.size:
+                continue
+            # Equal estimators whose trials went into other chunks leave blocks that overlap.
+            scores = block.scores.below(below)
+            if (scores := scores.where(scores.trials >= end)).trials.size:
+                end = int(scores.trials[-1]) + 1
                 yield scores
 
     def counted(self, key: str, below: int) -> Count:
@@ -385,7 +390,8 @@ class Writer(Reader):
 
     def add(self, units: Mapping[str, Any], scores: Iterable[tuple[str, Scores]]) -> None:
         """Write a chunk of scores, and what their keys stand for, in one transaction."""
-        rows = [(*block.place, data) for key, found in scores for block, data in blocks_of(key, found)]
+        # Equal estimators under two names have one key, and each is computed.
+        rows = {block.place: data for key, found in scores for block, data in blocks_of(key, found)}
         described = [(key, json.dumps(unit, sort_keys=True)) for key, unit in units.items()]
         # The system goes on writing a file that has no name any more.
         if _identity(self._path) != self._is:
@@ -397,12 +403,11 @@ class Writer(Reader):
             self._connection.executemany("INSERT OR IGNORE INTO units VALUES (?, ?)", described)
             self._connection.executemany("DELETE FROM blocks WHERE rowid = ?", self._damaged)
             self._damaged.clear()
-            # Equal estimators under two names have one key, and each is computed.
             self._connection.executemany(
                 "DELETE FROM blocks WHERE key = ? AND first >= ? AND first + count <= ?",
-                [(key, first, first + count) for key, first, count, *_ in rows],
+                [(key, first, first + count) for key, first, count, _ in rows],
             )
-            self._connection.executemany(_INSERT, rows)
+            self._connection.executemany(_INSERT, [(*place, data) for place, data in rows.items()])
 
     def save(self, blocks: Iterable[Block]) -> None:
         """Write the blocks that are not there, in one transaction."""

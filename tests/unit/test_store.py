@@ -191,6 +191,26 @@ def test_a_part_of_a_block_that_is_added_again_takes_nothing_away(tmp_path: Path
     assert {*_trials(store)} == {0, 1, 2, 3, 4}
 
 
+def test_a_key_that_stands_twice_in_a_chunk_is_written_once(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    with store.writing() as writer:
+        writer.add({}, [("k", _scores(0, 1, failing=True)), ("k", _scores(0, 1, failing=True))])
+    with store.reading() as reader:
+        assert reader.counted("k", 10) == Count(2, 2)
+    assert _trials(store) == [0, 1]
+
+
+def test_a_trial_that_stands_in_two_blocks_is_read_once(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    with store.writing() as writer:
+        writer.add({}, [("k", _scores(0, 1, 2))])
+        writer.add({}, [("k", _scores(1, 2, 3, 4))])
+        writer.add({}, [("k", _scores(2, 3))])
+        writer.save([Block("k", _scores(0, 1, 2, 3))])
+    assert _trials(store) == [0, 1, 2, 3, 4]
+    assert _trials(store, below=3) == [0, 1, 2]
+
+
 def test_full_disk_under_the_lock_is_told_by_its_number_and_not_by_its_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
