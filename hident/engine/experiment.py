@@ -38,6 +38,7 @@ from hident.engine.cases import (
     Axis,
     Cases,
     Label,
+    Skip,
     idle_assignments,
     skips,
     sound_axes,
@@ -254,9 +255,11 @@ class Plan:
     experiment: Experiment
     axes: tuple[Axis, ...]
     units: tuple[Unit, ...]
+    skips: tuple[Skip, ...] = ()
     perturbation: int = 0
     trial_timeout: float | None = None
     _upto: int | None = None
+    _held: Mapping[str, Label] = field(default_factory=dict)
     _files: dict[Path, bytes | None] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -313,10 +316,14 @@ class Plan:
     def at(self, labels: Mapping[str, Label]) -> Plan:
         """The plan of the cases at these labels: their axes are no axes of it, and no unit stands elsewhere.
 
-        Its units are the same objects, with all their labels.
+        Its units are the same objects, with all their labels. There is none where the labels are skipped, not
+        even of an estimator that only some of them touch.
         """
         axes = tuple(axis for axis in self.axes if axis.name not in labels)
-        return replace(self, axes=axes, units=tuple(unit for unit in self.units if unit.is_at(labels)))
+        held = {**self._held, **labels}
+        skipped = any(skip.covers(None, held) for skip in self.skips)
+        units = () if skipped else tuple(unit for unit in self.units if unit.is_at(labels))
+        return replace(self, axes=axes, units=units, _held=held)
 
     @cached_property
     def timing_keys(self) -> tuple[str, ...]:
@@ -426,7 +433,8 @@ def load(
     at_first = dict.fromkeys(range(len(axes)), 0)
     document = with_every_value(document, Expansion(document, axes).document(at_first), complaints)
     complaints += [*document.complaints, *idle_assignments(document, axes, assignments)]
-    expansion = Expansion(document, axes, skips(document, axes, complaints))
+    left_out = skips(document, axes, complaints)
+    expansion = Expansion(document, axes, left_out)
     # The first label of every axis completes the file: what a case sets need not stand twice.
     first = expansion.document(at_first)
     try:
@@ -447,7 +455,7 @@ def load(
         for section, name, message in misnamed(experiment.tables, experiment.figures)
     )
     units = expansion.units(experiment.estimators, experiment.metrics, complaints)
-    plan = Plan(path, document, experiment, axes, tuple(units))
+    plan = Plan(path, document, experiment, axes, tuple(units), left_out)
     complaints += document.complaints_of([*_missing_paper(plan), *_unrepeatable(plan)])
     if complaints:
         raise error_of(complaints)

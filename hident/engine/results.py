@@ -173,8 +173,9 @@ class Results:
         """The results of the cases at these labels (:meth:`Plan.at`); their series are the same objects."""
         if not labels:
             return self
-        series = tuple(one for one in self.series if one.unit.is_at(labels))
-        return replace(self, plan=self.plan.at(labels), series=series)
+        plan = self.plan.at(labels)
+        series = tuple(one for one in self.series if plan.units and one.unit.is_at(labels))
+        return replace(self, plan=plan, series=series)
 
     def varied(self, series: Series) -> dict[str, Label]:
         """The labels of a series on the axes of the plan: on those that are not held."""

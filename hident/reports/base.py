@@ -129,7 +129,10 @@ def first_case(plan: Plan, estimators: Sequence[str]) -> str:
 
 def unscored(plan: Plan, place: Location, estimator: str, metric: str) -> Iterator[Misfit]:
     """A misfit if no unit of the estimator is scored by the metric."""
-    if not any(unit.name == estimator and metric in unit.metric_labels for unit in plan.units):
+    units = [unit for unit in plan.units if unit.name == estimator]
+    if not units:
+        yield place, f"the estimator '{estimator}' is left out"
+    elif not any(metric in unit.metric_labels for unit in units):
         yield place, f"the metric '{metric}' does not score the estimator '{estimator}'"
 
 

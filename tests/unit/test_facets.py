@@ -250,6 +250,50 @@ def test_a_panel_without_cases_stays_empty(tmp_path):
     assert [axes.get_visible() for axes in drawn(results).axes] == [True, True, False]
 
 
+WIDTHS = (
+    "  sigma: [0.5, 1, 2]\n"
+    "  width: {one: {estimators.two.bandwidth.h0: 1}, two: {estimators.two.bandwidth.h0: 2}}\n"
+)
+SKIPPED = "skip: [{sigma: 2, width: two}]\n"
+
+
+@pytest.mark.parametrize(
+    ("fields", "there"),
+    [
+        ("facets: {rows: sigma, columns: width}", [True, True, True, True, True, False]),
+        ("at: {width: two}, facets: {columns: sigma}", [True, True, False]),
+    ],
+)
+def test_a_skipped_panel_stays_empty_though_an_estimator_stands_there_by_other_labels(
+    tmp_path, fields, there
+):
+    rest = CURVE.format(fields=fields) + GRID.format(fields=fields.replace("}, ", "}\n    ")) + SKIPPED
+    results = made(tmp_path, {}, rest=NOISE + rest, axes=WIDTHS)
+    check(results.plan)
+    assert [axes.get_visible() for axes in drawn(results).axes] == there
+    table = built(results)
+    frame = [dict(zip(table.header, row, strict=True)) for row in table.rows]
+    if "sigma" in table.header:
+        assert [row["one, width = two"] for row in frame if row["sigma"] == "2"] == ["", "", ""]
+    else:
+        assert not any("sigma = 2" in column for column in table.header)
+
+
+def test_labels_that_are_skipped_hold_no_case(tmp_path):
+    rest = CURVE.format(fields="at: {sigma: 2, width: two}") + SKIPPED
+    with pytest.raises(ConfigError, match=r"figures.f.at: no case stands at these labels"):
+        check(made(tmp_path, {}, rest=NOISE + rest, axes=WIDTHS).plan)
+
+
+def test_an_estimator_that_is_left_out_is_not_called_one_that_no_metric_scores(tmp_path):
+    rest = CURVE.format(fields="facets: {rows: sigma, columns: width}")
+    rest += "skip: [{estimator: two, sigma: 2, width: two}]\n"
+    with pytest.raises(
+        ConfigError, match=r"figures.f.*: the estimator 'two' is left out \(at sigma 2, width two\)"
+    ):
+        check(made(tmp_path, {}, rest=NOISE + rest, axes=WIDTHS).plan)
+
+
 @pytest.mark.parametrize(("size", "inches"), [("column", 88 / 25.4), ("page", 180 / 25.4)])
 def test_a_size_is_that_of_a_column_or_a_page(tmp_path, size, inches):
     figure = drawn(results_of(tmp_path, CURVE.format(fields=f"at: {{sigma: 1, law: other}}, size: {size}")))
