@@ -118,12 +118,15 @@ class Canvas:
 
     def _join(self, titles: list[str], sides: list[str]) -> None:
         alone = self._grid is not None and hasattr(self._grid[0, 0], "set_xlabel")
+        drawn = [at for at, axes in self.cells.items() if axes]
         for (row, column), axes in self.cells.items():
             cell = self._grid[row, column]
             if not axes and alone:
                 cell.set_visible(False)
             elif alone:
-                _title(cell, "" if row else titles[column], "" if column < self.columns - 1 else sides[row])
+                is_first = row == min(i for i, j in drawn if j == column)
+                is_last = column == max(j for i, j in drawn if i == row)
+                _title(cell, titles[column] if is_first else "", sides[row] if is_last else "")
                 if self.cells.get((row + 1, column)):
                     cell.set_xlabel("")
                 if self.cells.get((row, column - 1)):

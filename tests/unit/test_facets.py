@@ -279,6 +279,19 @@ def test_a_skipped_panel_stays_empty_though_an_estimator_stands_there_by_other_l
         assert not any("sigma = 2" in column for column in table.header)
 
 
+@pytest.mark.parametrize("sigma", [0.5, 2])
+def test_titles_stand_at_the_outermost_panels_that_are_drawn(tmp_path, sigma):
+    rest = CURVE.format(fields="facets: {rows: width, columns: sigma}")
+    rest += f"skip: [{{sigma: {sigma}, width: [one, two]}}, {{sigma: 1, width: one}}]\n"
+    figure = drawn(made(tmp_path, {}, rest=NOISE + rest, axes=WIDTHS))
+    shown = [axes for axes in figure.axes if axes.get_visible()]
+    other = 2.5 - sigma
+    assert sorted(filter(None, (axes.get_title() for axes in shown))) == sorted(
+        ["sigma = 1", f"sigma = {other:g}"]
+    )
+    assert [text.get_text() for axes in shown for text in axes.texts] == ["width = one", "width = two"]
+
+
 def test_labels_that_are_skipped_hold_no_case(tmp_path):
     rest = CURVE.format(fields="at: {sigma: 2, width: two}") + SKIPPED
     with pytest.raises(ConfigError, match=r"figures.f.at: no case stands at these labels"):
