@@ -18,7 +18,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BeforeValidator, ValidationError
+from pydantic import AfterValidator, BeforeValidator, ValidationError
 
 from hident.config.load import Problem, content_of, problems_of, read
 from hident.config.spec import NonEmpty, Spec
@@ -87,10 +87,17 @@ Patterns = Annotated[NonEmpty[str], BeforeValidator(_as_list)]
 """Texts or shell patterns, of which one must fit; one text stands for a list of it."""
 
 
+def _in_words(written: str) -> str:
+    # What says nothing would cover any difference without a remark.
+    if not any(map(str.isalnum, written)):
+        raise ValueError("must say why, in words")
+    return written
+
+
 class Reason(Spec):
     """Why printed numbers differ from ours; each field but ``reason`` is a shell pattern or several."""
 
-    reason: str
+    reason: Annotated[str, AfterValidator(_in_words)]
     """The reason, one or two sentences."""
     config: Patterns = ("*",)
     """Name of the configuration."""

@@ -79,6 +79,15 @@ def test_a_faulty_reason_is_named_with_its_line(tmp_path):
         read_reasons(paper)
 
 
+@pytest.mark.parametrize("text", ["", "  ", "\\t\\n", "."])
+def test_a_reason_says_something(tmp_path, text):
+    paper = written(tmp_path, f'reasons:\n- reason: "{text}"\n  config: a\n', "reasons.yaml")
+    with pytest.raises(
+        ConfigError, match=r"reasons.yaml:2: reasons\[0\].reason: must say why, in words \(got "
+    ):
+        read_reasons(paper)
+
+
 @pytest.mark.parametrize(
     ("row", "labels", "key"),
     [
