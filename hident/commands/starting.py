@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterable, Iterator
 from importlib.resources import files
 from importlib.resources.abc import Traversable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -85,6 +86,16 @@ def _check_name(what: str, name: str, templates: Iterable[str]) -> None:
         raise ConfigError(
             f"'{name}' cannot be a plugin's name: it means something to Python, or in its files; "
             f"take my_{name}"
+        )
+    if name == "conftest" or name.startswith("test_") or name.endswith("_test"):
+        other = name.removeprefix("test_").removesuffix("_test") or "method"
+        raise ConfigError(
+            f"'{name}' cannot be a plugin's name: pytest would take its files for tests; take my_{other}"
+        )
+    # A folder without code is none: it may be what was begun under this name before.
+    if (module := find_spec(name)) is not None and module.origin is not None:
+        raise ConfigError(
+            f"'{name}' cannot be a plugin's name: a module that can be imported has it; take my_{name}"
         )
     plugins.load_built_in()
     for ending, family in _KINDS.items():

@@ -146,6 +146,25 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
             )
             for name in ("queue", "class", "record", "transfer_function", "np", "hident")
         ),
+        *(
+            (
+                f"plugin {name}",
+                f"'{name}' cannot be a plugin's name: a module that can be imported has it; take my_{name}",
+            )
+            for name in ("numpy", "scipy", "yaml", "matplotlib")
+        ),
+        *(
+            (
+                f"plugin {name}",
+                f"'{name}' cannot be a plugin's name: pytest would take its files for tests; take {other}",
+            )
+            for name, other in (
+                ("test_x", "my_x"),
+                ("x_test", "my_x"),
+                ("test_", "my_method"),
+                ("conftest", "my_conftest"),
+            )
+        ),
     ],
 )
 def test_names_that_cannot_be(
