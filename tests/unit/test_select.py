@@ -28,6 +28,7 @@ KERNEL = {"kind": "kernel", "kernel": "gaussian", "bandwidth": {"alpha": 0}}
 WIDTHS = [0.02, 0.08, 0.3, 1]
 CUBIC = {"kind": "polynomial", "coefficients": [0, 1, 0.5, 0.25]}
 TWO_STAGE = {"kind": "two_stage", "degree": 3, "delay": 0}
+BASIS = {"basis": {"kind": "trigonometric", "interval": [-2, 2]}}
 
 
 def record_of(samples=200, *, std=0.1, b=(1, 0.6, -0.3), a=(), seed=1, excitation=None):
@@ -376,6 +377,32 @@ class TestPassesThrough:
             selected(found).criterion[2], selected(hi.fit(plain, record)).criterion[2], rtol=1e-12
         )
 
+    @pytest.mark.parametrize("nested", [False, True])
+    def test_a_mapping_that_the_estimator_leaves_at_its_default(self, nested):
+        blocks = [
+            {"kind": "polynomial", "degree": 1},
+            {"kind": "linear", "nb": 1, "nf": 0},
+        ]
+        estimator: dict[str, Any] = {"kind": "prediction_error", "blocks": blocks}
+        path = "noise.ar"
+        if nested:
+            over = {"n_init": [0, 1]}
+            estimator, path = (
+                {"kind": "select", "by": "holdout", "over": over, "estimator": estimator},
+                f"estimator.{path}",
+            )
+        select = hi.Select(by="holdout", over={path: [0, 2]}, estimator=estimator)
+        inner: Any = [getattr(one, "estimator", one) for one in select.candidates]
+        assert [(one.noise.ar, one.noise.ma) for one in inner] == [(0, 0), (2, 0)]
+        select = hi.Select(
+            by="holdout",
+            over={"terms.q0": [4], "terms.alpha": [0]},
+            estimator={"kind": "orthogonal", **BASIS},
+        )
+        (candidate,) = select.candidates
+        assert isinstance(candidate, hi.Orthogonal)
+        assert (candidate.terms.q0, candidate.terms.alpha) == (4, 0)
+
     def test_two_selections_that_choose_by_one_name_are_refused(self):
         inner = {"kind": "select", "over": {"lags": [1, 2]}, "estimator": TWO_STAGE}
         middle = {"kind": "select", "over": {"by": ["aic", "bic"]}, "estimator": inner}
@@ -478,6 +505,11 @@ class TestConfiguration:
                 "'bandwidth'? (it has: kind, kernel, bandwidth) (got [0.1, 1])",
             ),
             (
+                {BANDWIDTH: "over: {known_point.x: [0.1, 1]}"},
+                "a.yaml:12: estimators.k.over.known_point.x: the estimator leaves 'known_point' out: write "
+                "it there (got [0.1, 1])",
+            ),
+            (
                 {BANDWIDTH: "over: {bandwidth.h0: [1], kernel: [gaussian, gausian]}"},
                 "a.yaml:12: estimators.k.over.kernel[1]: must be 'window_half', 'window_unit', 'triangular', "
                 "'epanechnikov' or 'gaussian'; did you mean 'gaussian'? (got 'gausian')",
@@ -515,6 +547,10 @@ class TestConfiguration:
             (
                 {"kernel, kernel: gaussian": "kernl, kernel: gaussian"},
                 "a.yaml:13: estimators.k.estimator.kind: unknown estimator; did you mean 'kernel'?",
+            ),
+            (
+                {"kernel, kernel: gaussian": "[kernel], kernel: gaussian"},
+                "a.yaml:13: estimators.k.estimator.kind: unknown estimator",
             ),
             (
                 {"by: leave_one_out": "by: bic"},

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from hident.config.load import put
-from hident.config.spec import Component, Of, Spec
+from hident.config.spec import Component, Of, Spec, components
 from hident.config.yaml12 import shown
 from hident.errors import ConfigError
 from hident.estimators.base import EstimatorSpec
@@ -117,6 +117,7 @@ def candidates_of(
     together: dict[str, list[dict[str, Value]]] = {}
     for path, values in axes.items():
         try:
+            written = _opened(written, components("estimator")[written["kind"]], path.split("."))
             put({"estimator": {**written}}, f"estimator.{path}", values[0].value)
         except ConfigError as error:
             wrong[("over", path), str(error).partition(": ")[2]] = over[path]
@@ -148,6 +149,28 @@ def candidates_of(
     if problems:
         raise ValidationError.from_exception_data("over", problems)
     return found
+
+
+def _opened(written: Mapping[str, Any], spec: type[Spec], keys: Sequence[str]) -> dict[str, Any]:
+    """A part of an estimator with the mappings that a key path leads through and that were left out.
+
+    ConfigError if it leads through something else that is left out.
+    """
+    key, *rest = keys
+    opened, field = dict(written), spec.model_fields.get(key)
+    if not rest or field is None:
+        return opened
+    of = next((one.family for one in field.metadata if isinstance(one, Of)), None)
+    inner = field.annotation if of is None else None
+    is_mapping = isinstance(inner, type) and issubclass(inner, Spec)
+    if key not in written and not is_mapping:
+        raise ConfigError(f"{'.'.join(keys)}: the estimator leaves '{key}' out: write it there")
+    value = written.get(key, {})
+    if of is not None and isinstance(value, Mapping):
+        inner = components(of).get(str(value.get("kind")))
+    if isinstance(value, Mapping) and isinstance(inner, type) and issubclass(inner, Spec):
+        opened[key] = _opened(value, inner, rest)
+    return opened
 
 
 def _place_of(loc: _Location, message: str, chosen: Mapping[str, Value]) -> _Location:

@@ -131,7 +131,7 @@ class Select(EstimatorSpec):
         if not isinstance(data, Mapping) or not isinstance(data.get("over"), Mapping):
             return data
         written = as_written(data.get("estimator"))
-        if written is None or written.get("kind") not in components("estimator"):
+        if written is None or str(written.get("kind")) not in components("estimator"):
             return data
         axes = axes_of(data["over"])
         candidates = candidates_of(written, axes, data["over"])
