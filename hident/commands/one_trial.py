@@ -104,7 +104,12 @@ def _meant(plan: Plan, wanted: Wanted) -> list[Unit]:
     names = list(dict.fromkeys(unit.name for unit in plan.units))
     if wanted.estimator is not None and wanted.estimator not in names:
         raise ConfigError(f"--estimator: {there_is_no('estimator', wanted.estimator, names)}")
-    labels = dict(_label(plan, text) for text in wanted.cases)
+    labels: dict[str, Label] = {}
+    for text in wanted.cases:
+        axis, label = _label(plan, text)
+        if axis in labels:
+            raise ConfigError(f"--case {text}: {axis}={labels[axis]} is given already, and one case is shown")
+        labels[axis] = label
     found = [unit for unit in plan.units if wanted.estimator in (None, unit.name) and unit.is_at(labels)]
     if not found:
         at = ", ".join(f"{axis} {label}" for axis, label in labels.items())
@@ -134,16 +139,23 @@ def _odd(plan: Plan, reader: Reader, units: Sequence[Unit], label: str, *, worst
     if label not in labels:
         raise ConfigError(f"--{'worst' if worst else 'best'}: {there_is_no('metric', label, labels)}")
     found: list[tuple[float, Unit, int]] = []
+    stored = 0
     for unit in units:
         for name, metric in unit.metrics.items():
             if label not in metric.labels(name):
                 continue
+            stored += reader.counted(unit.keys(plan.seed, plan.perturbation)[name], plan.trials).trials
             values = _series(plan, reader, unit, name)[:, metric.labels(name).index(label)]
             # Least is best from here on.
             badness = -values if metric.best == "highest" else np.abs(values)
             if np.isfinite(badness).any():
                 place = int((np.nanargmax if worst else np.nanargmin)(badness))
                 found.append((float(badness[place]), unit, place))
+    if not found and stored:
+        raise NothingToCompare(
+            f"{label} is a number in none of the {stored} stored trials: "
+            f"hident show {plan.path} --failed says why"
+        )
     if not found:
         raise NothingToCompare(f"no trial with {label} is stored: hident run {plan.name}")
     _, unit, number = (max if worst else min)(found, key=lambda one: one[0])

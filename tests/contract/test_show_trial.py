@@ -133,6 +133,10 @@ def test_what_failed_is_listed_and_shown(lab: Lab) -> None:
     assert lines[-1] == f"one of them: {example}"
     assert "iv failed" in lab.hident(*example.split()[1:]).stdout
     assert "none of the 6 stored trials failed" in _show(lab, "--failed", "--estimator", "known")
+    for option in ("--worst", "--best"):
+        assert _error(lab, "tiny.yaml", option, "a a_1", "--estimator", "iv", code=4) == (
+            "a a_1 is a number in none of the 12 stored trials: hident show tiny.yaml --failed says why"
+        )
     said = _show(lab, "--trial", "0", "--estimator", "iv")
     assert "iv failed: Psi'Phi is singular" in said
     assert (lab.folder / "out/tiny/trial-0/case-1_samples_50/trial.png").exists()
@@ -148,6 +152,10 @@ def test_what_failed_is_listed_and_shown(lab: Lab) -> None:
             "--case samples=60: there is no label of samples '60' (there are: 50, 80)",
         ),
         (["--case", "samples"], "--case samples: must be AXIS=LABEL"),
+        (
+            ["--case", "samples=50", "--case", "samples=80"],
+            "--case samples=80: samples=50 is given already, and one case is shown",
+        ),
         (["--worst", "a"], "--worst: there is no metric 'a' (there are: a a_1)"),
         (["--worst", "a a_1", "--trial", "3"], "--trial and --worst cannot stand together: each names what "),
         (["--input", "u"], "tiny.yaml is a configuration, and --input is for measured records"),
