@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike
 from hident.arrays import Array, Complex
 from hident.errors import ConfigError
 from hident.numerics.choices import ROUNDING
+from hident.numerics.rounding import apart
 from hident.numerics.settling import settling_time
 from hident.numerics.whole import split
 
@@ -189,7 +190,8 @@ class TransferFunction:
             return len(self.b)
         if (radius := self.radius()) > SLOWEST:
             raise ValueError(
-                f"a pole has modulus {radius:.8g}: the response lasts too long (at most {SLOWEST})"
+                f"a pole has modulus {apart(radius, SLOWEST, 8)}: the response lasts too long "
+                f"(at most {SLOWEST})"
             )
         # Half of the window must be negligible, and that half must lie behind the last b.
         n = 64 + 2 * len(self.b)

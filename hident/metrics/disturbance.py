@@ -14,6 +14,7 @@ from hident.config.spec import Flag, Real, component
 from hident.linear_blocks import SLOWEST
 from hident.metrics.base import Comparing, MetricSpec, Scored
 from hident.numerics.parts import in_each, longer_than
+from hident.numerics.rounding import apart
 from hident.records import Estimate, Record, needed
 
 # A coefficient that is written with four digits.
@@ -101,7 +102,7 @@ class DisturbanceVarianceFormula(MetricSpec):
         if not self.filtered and linear is not None and (radius := linear.radius()) > SLOWEST:
             raise ValueError(
                 "sums over the impulse response of the system's linear block, which lasts too long: a pole "
-                f"has modulus {radius:.8g} (at most {SLOWEST})"
+                f"has modulus {apart(radius, SLOWEST, 8)} (at most {SLOWEST})"
             )
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:

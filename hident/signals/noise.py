@@ -12,6 +12,7 @@ from hident.arrays import Array
 from hident.config.spec import Real, component
 from hident.config.suggest import one_of
 from hident.linear_blocks import MOST_POLES, TransferFunction
+from hident.numerics.rounding import apart
 from hident.signals.base import NoiseSpec
 
 Level = Annotated[Real, Field(ge=0)]
@@ -111,7 +112,7 @@ class Autoregressive(_Additive):
     def _stable(cls, a: tuple[float, ...]) -> tuple[float, ...]:
         outside = [pole for pole in TransferFunction(a=a).poles() if abs(pole) >= 1]
         if outside:
-            named = one_of(f"{pole:.4g}" if pole.imag else f"{pole.real:.4g}" for pole in outside)
+            named = one_of(apart(pole if pole.imag else pole.real, 1.0, 4) for pole in outside)
             raise ValueError(f"the noise is unstable: poles must lie inside the unit circle, not at {named}")
         return a
 

@@ -11,6 +11,7 @@ from pydantic import PlainValidator, TypeAdapter, WithJsonSchema, field_validato
 from hident.arrays import Array
 from hident.config.spec import Component, Real, component
 from hident.linear_blocks import SLOWEST, ContinuousTransferFunction, TransferFunction
+from hident.numerics.rounding import apart
 from hident.systems.base import Feedback, Numerator
 
 _PAST_OUTPUTS: TypeAdapter[tuple[float, ...]] = TypeAdapter(tuple[Real, ...])
@@ -78,8 +79,8 @@ class DiscreteSpec(LinearSpec):
             )
         if self.initial == "stationary" and (radius := block.radius()) > SLOWEST:
             raise ValueError(
-                f"has a pole of modulus {radius:.8g}, too slow for a stationary start (at most {SLOWEST}): "
-                "set 'initial' to zero or to the past outputs"
+                f"has a pole of modulus {apart(radius, SLOWEST, 8)}, too slow for a stationary start "
+                f"(at most {SLOWEST}): set 'initial' to zero or to the past outputs"
             )
         if not isinstance(self.initial, str) and len(self.initial) != len(block.a):
             raise ValueError(
@@ -104,9 +105,9 @@ class DiscreteSpec(LinearSpec):
 def _unstable_poles(block: TransferFunction) -> str:
     """The poles on or outside the unit circle, a conjugate pair once, with its modulus."""
     return ", ".join(
-        f"{pole.real:.6g}"
+        apart(pole.real, 1.0, 6)
         if pole.imag == 0
-        else f"{pole.real:.6g}+-{pole.imag:.6g}j (modulus {abs(pole):.6g})"
+        else f"{pole.real:.6g}+-{pole.imag:.6g}j (modulus {apart(abs(pole), 1.0, 6)})"
         for pole in block.poles()
         if abs(pole) >= 1.0 and pole.imag >= 0
     )

@@ -227,6 +227,22 @@ def test_blocks_survive_pickling(block):
             "is unstable: poles 0.8+-0.8j (modulus 1.13137) lie on or outside the unit circle",
         ),
         (
+            {"kind": "ar", "a": [-1.0000001]},
+            (),
+            "is unstable: poles -1.0000001 lie on or outside the unit circle",
+        ),
+        (
+            {"kind": "arma", "a": [1.2, -1.0000001], "b": [1]},
+            (),
+            "is unstable: poles 0.6+-0.8j (modulus 1.00000005) lie on or outside the unit circle",
+        ),
+        (
+            {"kind": "ar", "a": [0.9999900000001]},
+            (),
+            "has a pole of modulus 0.9999900000001, too slow for a stationary start (at most 0.99999): "
+            "set 'initial' to zero or to the past outputs",
+        ),
+        (
             {"kind": "ar", "a": [0.999999]},
             (),
             "has a pole of modulus 0.999999, too slow for a stationary start (at most 0.99999): "

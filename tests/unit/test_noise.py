@@ -235,6 +235,10 @@ def test_unstable_noise_is_refused_with_its_poles():
     message = "the noise is unstable: poles must lie inside the unit circle, not at {}"
     assert refused(Autoregressive, a=[1.7, -0.6], std=1) == message.format("1.2")
     assert refused(Autoregressive, a=[1], std=1) == message.format("1")
+    assert refused(Autoregressive, a=[1.0000001], std=1) == message.format("1.0000001")
+    assert refused(Autoregressive, a=[1.2, -1.0000001], std=1) == message.format(
+        "0.6+0.8000001j, 0.6-0.8000001j"
+    )
     assert refused(Autoregressive, a=[1, -1.25], std=1) == message.format("0.5+1j, 0.5-1j")
     message = "must be a list of at least 1"
     assert refused(Autoregressive, a=[], std=1) == message

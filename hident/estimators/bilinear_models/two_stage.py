@@ -30,6 +30,7 @@ from hident.linear_blocks import MOST_POLES, TransferFunction
 from hident.numerics.autoregression import ArModel
 from hident.numerics.choices import ROUNDING
 from hident.numerics.parts import Parts
+from hident.numerics.rounding import apart
 from hident.records import Estimate, Record
 
 
@@ -128,7 +129,7 @@ class KnownAr(Spec):
         if not (block := TransferFunction(a=a)).is_stable():
             raise ValueError(
                 "the noise is unstable: poles must lie inside the unit circle, "
-                f"not at modulus {block.radius():.4g}"
+                f"not at modulus {apart(block.radius(), 1.0, 4)}"
             )
         return a
 

@@ -30,6 +30,7 @@ from hident.estimators.nonparametric.delay import (
 from hident.estimators.normalisation import Normalisation, behind, first_coefficient
 from hident.linear_blocks import TransferFunction, significant
 from hident.numerics.parts import Parts, in_each, longer_than, whole
+from hident.numerics.rounding import apart
 from hident.records import Estimate, Record, needed
 
 
@@ -88,7 +89,7 @@ def _undone(y: Array, linear: TransferFunction) -> Array:
     # Adding zero turns -0 into 0 for the message.
     zeros = linear.zeros() + 0.0
     if np.any(np.abs(zeros) >= 1.0):
-        found = ", ".join(f"{z.real:.4g}" if z.imag == 0.0 else f"{z:.4g}" for z in zeros)
+        found = ", ".join(apart(z.real if z.imag == 0.0 else z, 1.0, 4) for z in zeros)
         raise EstimationError(
             f"the linear block has no stable inverse: its zeros {found} do not all lie inside the unit circle"
         )
