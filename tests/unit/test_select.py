@@ -403,6 +403,16 @@ class TestPassesThrough:
         assert isinstance(candidate, hi.Orthogonal)
         assert (candidate.terms.q0, candidate.terms.alpha) == (4, 0)
 
+    def test_what_a_selection_fits_behind_a_block_begins_in_motion(self):
+        record = record_of(b=(1,), a=(0.97,))
+        estimator = {"kind": "prediction_error", "blocks": [{"kind": "linear", "nb": 1, "nf": 1}]}
+        inner = {"kind": "select", "by": "fpe", "over": {"noise.ma": [0]}, "estimator": estimator}
+        plain, nested = (
+            selected(hi.fit(hi.Select(by="cross_validation", over={path: [0]}, estimator=of), record))
+            for path, of in (("noise.ar", estimator), ("estimator.noise.ar", inner))
+        )
+        assert nested.criterion == pytest.approx(plain.criterion, rel=1e-9)
+
     def test_two_selections_that_choose_by_one_name_are_refused(self):
         inner = {"kind": "select", "over": {"lags": [1, 2]}, "estimator": TWO_STAGE}
         middle = {"kind": "select", "over": {"by": ["aic", "bic"]}, "estimator": inner}

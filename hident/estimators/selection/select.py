@@ -255,6 +255,12 @@ class Select(EstimatorSpec):
         chosen, own = _chosen(estimate)
         return chosen.left_out_errors(own, record)
 
+    def begun_in_motion(self, shortest: int) -> Self:
+        begun = self.model_copy()
+        # Its own are not what 'over' and 'estimator' make any more.
+        vars(begun)["candidates"] = tuple(one.begun_in_motion(shortest) for one in self.candidates)
+        return begun
+
     def free_parameters(self) -> None:
         return None
 
