@@ -20,8 +20,8 @@ from hident.arrays import Array, Characteristic, Complex
 Freedom = Literal["gain", "sign", "delay", "constant"]
 FREEDOMS: tuple[Freedom, ...] = get_args(Freedom)
 
-# Factors of an argument that are tried first, and how many of the best are refined.
-_FACTORS = np.geomspace(1e-3, 1e3, 121)
+# Factors of an argument that are tried first: its unit may be any. How many of the best are refined.
+_FACTORS = np.geomspace(1e-15, 1e15, 601)
 _REFINED = 3
 _COARSE = 256
 
