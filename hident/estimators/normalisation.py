@@ -23,10 +23,16 @@ CLOSE = 1e-4
 # Where functions are compared: both signs, small and large.
 _PROBES = np.concatenate((-np.geomspace(1e3, 1e-3, 61), np.geomspace(1e-3, 1e3, 61)))
 _PROPORTIONAL = 1e-9
-# A step at zero over which a difference quotient is the slope to 1e-5 for a curvature of one.
+# Steps at zero for difference quotients, of which the first that suits is taken: the first of all gives the
+# slope to 1e-5 for a curvature of one. Smaller ones are for larger slopes, greater ones for those that a
+# constant's rounding hides.
 _STEP = 1e-6
-# A quotient that changes by more than this part of it when the step is halved is no slope.
-_VANISHING = 0.1
+_SMALLER = _STEP * 10.0 ** -np.arange(1.0, 25.0)
+_GREATER = _STEP * 10.0 ** np.arange(1.0, 9.0)
+_ROUNDED = 1e-8
+# A quotient that changes by no more than the first part of it when the step is halved is the slope; one that
+# changes by more than the second is none.
+_STEADY, _VANISHING = 1e-5, 0.1
 
 Factors = Mapping[str, float]
 """What each block of a system must be divided by to keep a rule, by its place: ``linear``, ``nonlinearity``,
@@ -220,12 +226,7 @@ def unit_slope(rule: str, values: str, *parts: str) -> Normalisation:
     def factors(truth: Truth, dt: float | None) -> Factors | None:
         if truth.nonlinearity is None:
             return None
-        with np.errstate(all="ignore"):
-            at_zero, beside, halfway = truth.nonlinearity(np.array([0.0, _STEP, _STEP / 2.0]))
-            slope, nearer = float(beside - at_zero) / _STEP, float(halfway - at_zero) / (_STEP / 2.0)
-            if abs(nearer - slope) > _VANISHING * abs(slope):
-                # That of a parabola halves with the step, that of a root grows.
-                slope = 0.0 if abs(nearer) < abs(slope) else np.inf
+        slope = _slope(truth.nonlinearity)
         if not np.isfinite(slope) or slope == 0.0:
             raise ValueError(
                 f"the system's nonlinearity has the slope {slope:g} at zero, which no factor makes 1"
@@ -233,6 +234,32 @@ def unit_slope(rule: str, values: str, *parts: str) -> Normalisation:
         return {"nonlinearity": slope}
 
     return Normalisation(rule, _parts(values, *parts), factors)
+
+
+def _slope(function: Characteristic) -> float:
+    """The slope of a function at zero, to the right; 0 or infinite where it has none other."""
+    at_zero = float(function(np.zeros(1))[0])
+
+    def quotients(step: float) -> tuple[float, float]:
+        beside, halfway = function(np.array([step, step / 2.0]))
+        return float(beside - at_zero) / step, float(halfway - at_zero) / (step / 2.0)
+
+    def is_rounded(step: float) -> bool:
+        return abs(quotients(step)[0]) * step < _ROUNDED * abs(at_zero)
+
+    with np.errstate(all="ignore"):
+        slope, nearer = quotients(_STEP)
+        if slope == 0.0:
+            return slope
+        steps = _GREATER if is_rounded(_STEP) else np.array([_STEP, *_SMALLER])
+        for step in (step for step in steps.tolist() if not is_rounded(step)):
+            tried, halved = quotients(step)
+            if abs(halved - tried) <= _STEADY * abs(tried):
+                return tried
+        if abs(nearer - slope) > _VANISHING * abs(slope):
+            # That of a parabola halves with the step, that of a root grows.
+            return 0.0 if abs(nearer) < abs(slope) else np.inf
+    return slope
 
 
 def known_function(rule: str, known: Characteristic, values: str = "b") -> Normalisation:

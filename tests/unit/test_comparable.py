@@ -14,7 +14,7 @@ from hident.engine.comparable import governed, truth_for
 from hident.engine.runner import run
 from hident.engine.trial import Data, Job, run_trials
 from hident.estimators.base import EstimatorSpec
-from hident.estimators.normalisation import brought, first_coefficient, unit_static_gain
+from hident.estimators.normalisation import brought, first_coefficient, unit_slope, unit_static_gain
 from hident.metrics.nonlinearity import NonlinearityPercentError
 from hident.records import Estimate
 from hident.reports.output import Outputs
@@ -553,3 +553,25 @@ def test_a_model_without_feedback_is_normalised_by_the_impulse_response():
     # One that has feedback holds the numerator.
     own = hi.SeparableLeastSquares(lags=1, feedback=1, degree=2, delay=0)
     assert max(hi.score(hi.fit(own, record), record, own, **metrics).values()) < 0.1
+
+
+@pytest.mark.parametrize("constant", [0.0, 0.5])
+@pytest.mark.parametrize("gain", [1e-7, -1e-3, 1.0, 1e5, -1e6, 1e12])
+def test_the_slope_at_zero_is_the_same_in_any_unit(gain, constant):
+    """The nonlinearity of a Wiener system, g u + 0.5 (g u)^2, in the unit of its argument that g says."""
+    curve = hi.Polynomial(coefficients=[constant, gain, 0.5 * gain**2])
+    system = hi.Wiener(linear=hi.Fir(b=[1.0 / gain]), nonlinearity=curve)
+    factors = unit_slope("f_1 = 1", "b").factors(system.truth(), None)
+    assert factors == {"nonlinearity": pytest.approx(gain, rel=1e-5)}
+
+
+@pytest.mark.parametrize("gain", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize(
+    ("curve", "slope"),
+    [("(g*u)**2", "0"), ("1+(g*u)**2", "0"), ("sqrt(abs(g*u))", "inf"), ("floor(abs(u)/9)", "0")],
+)
+def test_a_function_without_slope_at_zero_is_refused_in_any_unit(curve, slope, gain):
+    curve = hi.Expression(expression=curve.replace("g", f"{gain!r}"))
+    system = hi.Wiener(linear=hi.Fir(b=[1.0]), nonlinearity=curve)
+    with pytest.raises(ValueError, match=f"has the slope {slope} at zero"):
+        unit_slope("f_1 = 1", "b").factors(system.truth(), None)
