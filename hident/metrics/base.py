@@ -101,7 +101,7 @@ class Comparing(MetricSpec):
 
     up_to: tuple[Freedom, ...] | None = None
     """What no data determine and is chosen for the least error: gain, sign, delay, constant; []: nothing, the
-    values as they are written. Left out, the truth is brought to the form that the estimator declares."""
+    values as they are written. Left out or without gain, the truth is brought to the estimator's form."""
 
     @field_validator("up_to")
     @classmethod

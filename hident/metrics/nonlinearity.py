@@ -218,7 +218,7 @@ class NonlinearityValue(MetricSpec):
 class NonlinearityPercentError(_OnInterval):
     """Root of the integrated squared error in percent of the root of the integrated squared truth.
 
-    A constant that the estimator leaves open does not count unless ``up_to`` says so.
+    A constant that the estimator leaves open is taken off, unless ``up_to`` is written and does not list it.
 
     Examples
     --------

@@ -119,8 +119,10 @@ def test_what_no_factor_brings_to_the_rule_is_refused_with_the_remedies(refusals
         "for the least error by 'up_to: [gain, sign, constant]' under it, or limit the metric to other "
         "estimators by 'estimators:' under it"
     )
-    for chosen in ("[gain]", "[]", "[constant]"):
+    for chosen in ("[gain]", "[]", "[gain, constant]"):
         assert refusals(AT_ONCE, f"metrics.nonlinearity.up_to={chosen}") == []
+    for chosen in ("[sign]", "[constant]"):
+        assert refusals(AT_ONCE, f"metrics.nonlinearity.up_to={chosen}") == [message]
 
 
 SAME_SYSTEM = SCALE.replace("b: [0, 2, 1]", "b: [2, 1]").replace("lags: 3", "lags: 3, delay: 0")
@@ -169,6 +171,25 @@ def test_a_factor_that_is_asked_for_is_the_best_one(plan_of):
     ):
         (unit,) = plan_of(discrete(hammerstein(b), two_stage, f"{CURVE[:-1]}, up_to: {up_to}}}")).units
         assert least <= scored(unit, "m") <= most, (b, up_to)
+
+
+@pytest.mark.parametrize("up_to", ["[constant]", "[sign]", "[sign, constant]"])
+def test_what_is_not_listed_stays_in_the_method_s_form(plan_of, up_to):
+    found = discrete(hammerstein("[0, 4, 2]"), "{kind: two_stage, lags: 2, degree: 2}")
+    (unit,) = plan_of(found, f"metrics.m.up_to={up_to}").units
+    assert scored(unit, "m") < 1.0
+
+
+def test_a_delay_alone_is_chosen_in_the_method_s_form(plan_of):
+    """The impulse response b = [0, 4, 2] of a method that holds |b| = 1."""
+    (unit,) = plan_of(
+        discrete(
+            hammerstein("[0, 4, 2]"),
+            "{kind: two_stage, lags: 2, degree: 2}",
+            "{kind: impulse_response_error, up_to: [delay]}",
+        )
+    ).units
+    assert scored(unit, "m") < 1.0
 
 
 def test_the_case_is_named_where_not_all_are_alike(refusals):
@@ -518,10 +539,16 @@ def test_tables_say_which_rule_a_score_used_and_what_it_leaves_apart(plan_of):
             "[constant, sign, gain]",
             "up to a factor of either sign and a constant, whichever fits the truth best",
         ),
-        ("[sign]", "up to the sign, whichever fits the truth best"),
     ):
         plan = plan_of(discrete(hammerstein("[2]"), kernel, f"{CURVE[:-1]}, up_to: {up_to}}}"))
         assert list(scoring(plan)) == [f"Metric m: {said}."]
+    for up_to, said in (("[sign]", "the sign"), ("[constant]", "a constant")):
+        plan = plan_of(discrete(hammerstein("[2]"), kernel, f"{CURVE[:-1]}, up_to: {up_to}}}"))
+        assert list(scoring(plan)) == [
+            rule,
+            "The truth is brought to that form: linear block divided by 2 (e).",
+            f"Metric m: up to {said}, whichever fits the truth best.",
+        ]
     system = WIENER.replace("NONLINEARITY", "chen_type_3").replace("B", "[2]")
     estimator = f"{{kind: iterative_wiener, nonlinearity: {{kind: four_segment}}, {HORIZONS}}}"
     assert list(scoring(plan_of(continuous(system, estimator, "{kind: linear_percent_error}")))) == [
