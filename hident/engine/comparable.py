@@ -27,7 +27,7 @@ def governed(metric: MetricSpec, estimator: EstimatorSpec) -> Iterator[tuple[Nor
 
 
 def is_as_declared(metric: MetricSpec) -> bool:
-    """Whether the metric compares in the form that the estimator declares: where it chooses no factor itself."""
+    """Whether the metric compares in the form that the estimator declares: it chooses no factor itself."""
     if not isinstance(metric, Comparing) or metric.up_to is None:
         return True
     return bool(metric.up_to) and "gain" not in metric.up_to

@@ -18,7 +18,7 @@ from hident.config.suggest import one_of
 from hident.config.variables import filled
 from hident.config.yaml12 import Complaint, Location
 from hident.engine.cases import CHANGEABLE, DATA, Axis, Label, Skip
-from hident.engine.comparable import completed, form_of, incomparable
+from hident.engine.comparable import completed, form_of, incomparable, truth_for
 from hident.engine.fingerprint import fingerprint, libraries
 from hident.engine.scores import SECONDS
 from hident.engine.trial import Data, digest
@@ -350,6 +350,15 @@ def _unmet(unit: Unit, metric: MetricSpec, true: frozenset[str], estimated: froz
         )
 
 
+def _seen(metric: MetricSpec, unit: Unit) -> Truth:
+    """The truth in the form in which the metric is given it; where none is, as it is written."""
+    truth = unit.data.system.truth()
+    try:
+        return truth_for(metric, unit.estimator, truth, unit.data.dt)
+    except ValueError:
+        return truth
+
+
 def _unsound(unit: Unit, metric: MetricSpec) -> Iterator[str]:
     """Why a metric that gets all it needs would say nothing."""
     data, estimator = unit.data, unit.estimator
@@ -359,6 +368,7 @@ def _unsound(unit: Unit, metric: MetricSpec) -> Iterator[str]:
                 data.samples,
                 data.dt,
                 data.system,
+                _seen(metric, unit),
                 data.excitation,
                 estimator.provides(),
                 estimator.discrete_step(data.dt),

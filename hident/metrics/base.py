@@ -12,7 +12,7 @@ from hident.config.references import EstimatorName
 from hident.config.spec import Component
 from hident.config.suggest import one_of
 from hident.numerics.freedoms import FREEDOMS, Freedom, in_words
-from hident.records import Estimate, Record
+from hident.records import Estimate, Record, Truth
 from hident.signals.base import ExcitationSpec, Stretch
 from hident.systems.base import SystemSpec
 
@@ -24,7 +24,8 @@ Best = Literal["lowest", "highest", "zero"]
 class Scored:
     """What a metric is to score: the data of a case, and what an estimator makes of them.
 
-    ``dt`` is the sampling interval (None: discrete time), ``provides`` the parts of the estimate, ``step``
+    ``truth`` is that of the system in the form in which the metric is given it. ``dt`` is the sampling interval
+    (None: discrete time), ``provides`` the parts of the estimate, ``step``
     the sampling interval of its discrete linear block, and ``validated`` whether the record has a validation
     part.
     """
@@ -32,6 +33,7 @@ class Scored:
     samples: int
     dt: float | None
     system: SystemSpec
+    truth: Truth
     excitation: ExcitationSpec
     provides: frozenset[str]
     step: float

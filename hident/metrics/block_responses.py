@@ -144,7 +144,7 @@ class _OfBlocks(Comparing):
                 f"compares blocks sampled every {step:g}, and the estimate's is sampled every "
                 f"{scored.step:g}: leave out 'step'"
             )
-        if scored.system.truth().linear is not None and abs(step - dt) > _SAME * step:
+        if scored.truth.linear is not None and abs(step - dt) > _SAME * step:
             raise ValueError(
                 f"compares blocks sampled every {step:g}, and the system's is sampled every {dt:g}: neither "
                 "tells the other"
@@ -195,7 +195,7 @@ class ImpulseResponseError(_OfBlocks):
 
     def check(self, scored: Scored) -> None:
         super().check(scored)
-        true = scored.system.truth()
+        true = scored.truth
         if not _true(true).is_stable():
             raise ValueError(
                 "sums over an impulse response, and that of the system's linear block never ends: take the "
@@ -243,7 +243,7 @@ class FrequencyResponseError(_OfBlocks):
     def check(self, scored: Scored) -> None:
         super().check(scored)
         nyquist = math.pi / (self.step or scored.step)
-        discrete = _is_discrete(scored.provides) or scored.system.truth().linear is not None
+        discrete = _is_discrete(scored.provides) or scored.truth.linear is not None
         if discrete and self.band is not None and self.band[1] > nyquist * (1.0 + _SAME):
             raise ValueError(
                 f"has a band up to {self.band[1]:g}, and a discrete block's frequencies end at {nyquist:g}, "

@@ -23,7 +23,7 @@ _CLOSE = 1e-4
 
 def _check_first_coefficient(scored: Scored) -> None:
     """Raise ValueError unless gamma_0 is 1, without which y - w is no disturbance."""
-    block = scored.system.truth().linear
+    block = scored.truth.linear
     if block is not None and abs(block.b[0] - 1.0) > _CLOSE:
         raise ValueError(
             "takes y - w for the disturbance, which holds where gamma_0 = 1, "
@@ -98,7 +98,7 @@ class DisturbanceVarianceFormula(MetricSpec):
 
     def check(self, scored: Scored) -> None:
         _check_first_coefficient(scored)
-        linear = scored.system.truth().linear
+        linear = scored.truth.linear
         if not self.filtered and linear is not None and (radius := linear.radius()) > SLOWEST:
             raise ValueError(
                 "sums over the impulse response of the system's linear block, which lasts too long: a pole "

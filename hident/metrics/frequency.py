@@ -58,7 +58,7 @@ def _distinct(periods: Sequence[float]) -> Array:
 
 def _check_static_gains(scored: Scored) -> None:
     """Raise ValueError if a block has no static gain, to which gains and phases are relative."""
-    for place, block in scored.system.truth().blocks.items():
+    for place, block in scored.truth.blocks.items():
         if block.static_gain() == 0.0:
             raise ValueError(
                 f"is relative to the static gains, and the system's {place}_linear has none (b_0 = 0)"

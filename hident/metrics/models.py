@@ -105,7 +105,7 @@ class LinearPercentError(MetricSpec):
         return f"gain and delay apart, blocks sampled every {self._step(dt):g}"
 
     def check(self, scored: Scored) -> None:
-        truth, step = scored.system.truth().continuous, self._step(scored.dt)
+        truth, step = scored.truth.continuous, self._step(scored.dt)
         if truth is not None and (why := _without_static_gain(truth)):
             raise ValueError(
                 f"leaves the gain apart, and the system's linear block has no static gain ({why}) to be "
@@ -153,7 +153,7 @@ class SettlingTime(MetricSpec):
         return frozenset({"continuous"})
 
     def check(self, scored: Scored) -> None:
-        truth = scored.system.truth().continuous
+        truth = scored.truth.continuous
         if truth is not None and (why := _without_static_gain(truth)):
             raise ValueError(
                 "measures from the final value of the step response, and the system's linear block has no "

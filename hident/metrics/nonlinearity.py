@@ -130,7 +130,7 @@ class IntegratedSquaredError(_OnInterval):
         assert_never(self.at)
 
     def check(self, scored: Scored) -> None:
-        if self.at != "grid" and self.up_to and _has_factor_inside(scored.system.truth()):
+        if self.at != "grid" and self.up_to and _has_factor_inside(scored.truth):
             raise ValueError(
                 f"is 'at: {self.at}' of the input, and the nonlinearity's argument is the output of a linear "
                 "block, of which a factor is free: take 'at: grid'"
@@ -237,7 +237,7 @@ class NonlinearityPercentError(_OnInterval):
     takes_off: ClassVar[frozenset[Freedom]] = frozenset({"constant"})
 
     def check(self, scored: Scored) -> None:
-        truth = scored.system.truth()
+        truth = scored.truth
         with np.errstate(all="ignore"):
             nodes, _ = quadrature(*self.interval, truth.breakpoints, self.points)
             if not np.any(needed(truth.nonlinearity)(nodes)):

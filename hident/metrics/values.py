@@ -175,7 +175,7 @@ class PercentError(_AgainstTruth, Comparing):
     best = "lowest"
 
     def check(self, scored: Scored) -> None:
-        values = scored.system.truth().values
+        values = scored.truth.values
         if not any(values[name] for name in self.of):
             raise ValueError("is in percent of the true values, which are all zero: take the kind error")
 

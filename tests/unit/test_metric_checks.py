@@ -160,6 +160,29 @@ class TestZeroTruths:
         )
         assert "which is zero throughout the interval: take a wider interval, or the kind mise" in found
 
+    @pytest.mark.parametrize(("gain", "refused"), [(0.03, 0), (1.0, 0), (4000.0, 1)])
+    def test_the_interval_is_of_the_truth_in_the_method_s_form(self, tmp_path, gain, refused):
+        """A dead zone whose argument is written in another unit, and one that is wide in the method's too."""
+        reach = 0.4 / gain if refused == 0 else 2.0
+        block = f"{{kind: fir, b: [{0.6 / gain}, {0.4 / gain}]}}"
+        curve = f"{{kind: dead_zone, low: {-reach}, high: {reach}}}"
+        found = refusals(
+            tmp_path,
+            f"""\
+version: 1
+title: A dead zone
+trials: 2
+samples: 100
+system: {{kind: wiener, nonlinearity: {curve}, linear: {block}}}
+excitation: {{kind: iid, distribution: uniform, low: -1, high: 1}}
+estimators:
+  e: {{kind: prediction_error, blocks: [{{kind: linear, nb: 2, nf: 0}}, {{kind: cubic_spline, knots: 4}}]}}
+metrics:
+  m: {{kind: nonlinearity_percent_error, interval: [-1, 1]}}
+""",
+        )
+        assert len([line for line in found if "zero throughout the interval" in line]) == refused
+
     def test_a_percentage_of_values_that_are_zero(self, refused):
         metric = "{kind: percent_error, of: [b_1]}"
         assert "which are all zero: take the kind error" in refused(BS="[1, 0]", METRIC=metric)
