@@ -260,7 +260,7 @@ def score(
                 metric, as_seen = scoring_of(metric, spec, record.truth, record.dt)
             except ValueError as error:
                 raise ConfigError(f"{named} cannot compare with this system: {error}") from None
-            seen = as_seen(record)
+            seen = as_seen(record, estimate)
         with _as_in_a_run():
             values = metric.evaluate(estimate, seen)
         scores |= zip(metric.labels(name), map(float, values), strict=True)

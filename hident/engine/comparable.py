@@ -13,7 +13,7 @@ from hident.estimators.base import EstimatorSpec
 from hident.estimators.normalisation import Factors, Normalisation, brought
 from hident.metrics.base import Comparing, MetricSpec
 from hident.numerics.freedoms import Freedom
-from hident.records import Truth
+from hident.records import Estimate, Truth
 from hident.systems.base import SystemSpec
 
 
@@ -41,8 +41,19 @@ def completed(metric: MetricSpec, estimator: EstimatorSpec, dt: float | None) ->
     return metric.completed(left, estimator.discrete_step(dt))
 
 
-def truth_for(metric: MetricSpec, estimator: EstimatorSpec, truth: Truth, dt: float | None) -> Truth:
-    """The truth that the metric compares the estimator's estimates with.
+def depends_on_estimate(metric: MetricSpec, estimator: EstimatorSpec) -> bool:
+    """Whether the form in which the metric compares depends on what an estimate has found."""
+    return is_as_declared(metric) and any(rule.found for rule, _ in governed(metric, estimator))
+
+
+def truth_for(
+    metric: MetricSpec,
+    estimator: EstimatorSpec,
+    truth: Truth,
+    dt: float | None,
+    estimate: Estimate | None = None,
+) -> Truth:
+    """The truth that the metric compares the estimator's estimates with, or the one ``estimate``.
 
     It is the one given, to the last bit, where that keeps the estimator's rules already, or the metric is to
     compare it as it is written.
@@ -54,13 +65,15 @@ def truth_for(metric: MetricSpec, estimator: EstimatorSpec, truth: Truth, dt: fl
     """
     if not is_as_declared(metric):
         return truth
-    return brought(truth, [rule for rule, _ in governed(metric, estimator)], dt)
+    return brought(truth, [rule.of(estimate) for rule, _ in governed(metric, estimator)], dt)
 
 
-def form_of(estimator: EstimatorSpec, truth: Truth, dt: float | None) -> Truth:
+def form_of(
+    estimator: EstimatorSpec, truth: Truth, dt: float | None, estimate: Estimate | None = None
+) -> Truth:
     """The truth in the estimator's form, as far as there is one: what a figure shows beside its estimates."""
-    rules = [rule for rule in estimator.normalisations() or () if _can_be_kept(rule, truth, dt)]
-    return brought(truth, rules, dt)
+    rules = [rule.of(estimate) for rule in estimator.normalisations() or ()]
+    return brought(truth, [rule for rule in rules if _can_be_kept(rule, truth, dt)], dt)
 
 
 def _can_be_kept(rule: Normalisation, truth: Truth, dt: float | None) -> bool:

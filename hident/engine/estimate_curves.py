@@ -53,7 +53,7 @@ def parameters(realised: Realised) -> Iterator[tuple[str, float, float]]:
 
 def _truth(realised: Realised) -> Truth:
     """The truth in the form that the estimator declares."""
-    return form_of(realised.unit.estimator, realised.truth, realised.unit.data.dt)
+    return form_of(realised.unit.estimator, realised.truth, realised.unit.data.dt, realised.found)
 
 
 @np.errstate(all="ignore")

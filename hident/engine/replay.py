@@ -102,7 +102,7 @@ class OneTrial:
 
     def _scored(self, unit: Unit, metric: MetricSpec, found: Estimate, record: Record) -> Array:
         scoring, seen = scoring_of(metric, unit.estimator, unit.data.system.truth(), unit.data.dt)
-        return numbers(scoring, found, seen(record), len(metric.labels("")))
+        return numbers(scoring, found, seen(record, found), len(metric.labels("")))
 
     def record(self, data: Data) -> tuple[Record | None, str]:
         """The record of a case, or None and why its simulation failed."""

@@ -20,7 +20,7 @@ from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, Spec, canonical
 from hident.config.suggest import one_of
 from hident.engine.clock import Clock, Limit, TookTooLong
-from hident.engine.comparable import completed, truth_for
+from hident.engine.comparable import completed, depends_on_estimate, truth_for
 from hident.engine.scores import Scores, gathered
 from hident.errors import EstimationError, TrialFailed
 from hident.estimators.base import Batched, EstimatorSpec, is_batched
@@ -337,7 +337,7 @@ def _outcome(
         else:
             metric, seen = made
             scored = {
-                trial: _score(metric, labels, one, seen(records[trial]), clock)
+                trial: _score(metric, labels, one, partial(seen, records[trial]), clock)
                 if isinstance(one, Estimate)
                 else _failed(one)
                 for trial, one in found.items()
@@ -359,10 +359,11 @@ def _seconds_of(found: Mapping[int, Estimate | BaseException], seconds: Mapping[
 
 def scoring_of(
     metric: MetricSpec, estimator: EstimatorSpec, truth: Truth, dt: float | None
-) -> tuple[MetricSpec, Callable[[Record], Record]]:
+) -> tuple[MetricSpec, Callable[[Record, Estimate], Record]]:
     """The metric as it scores the estimator's estimates, and what makes the records that it is given.
 
-    They are the trial's own, unless the truth must be brought to the estimator's form first.
+    They are the trial's own, unless the truth must be brought to the estimator's form first, which may be
+    that of the one estimate.
 
     Raises
     ------
@@ -370,10 +371,13 @@ def scoring_of(
         If nothing brings the truth to the estimator's form.
     """
     brought = truth_for(metric, estimator, truth, dt)
-    complete = completed(metric, estimator, dt)
-    if brought is truth:
-        return complete, lambda record: record
-    return complete, lambda record: replace(record, truth=brought)
+    complete, of_each = completed(metric, estimator, dt), depends_on_estimate(metric, estimator)
+
+    def seen(record: Record, found: Estimate) -> Record:
+        own = truth_for(metric, estimator, truth, dt, found) if of_each else brought
+        return record if own is truth else replace(record, truth=own)
+
+    return complete, seen
 
 
 def _attempt(make: Callable[[], T], clock: Clock) -> T | BaseException:
@@ -497,10 +501,10 @@ class _Late(str):
 
 
 def _score(
-    metric: MetricSpec, labels: int, found: Estimate, record: Record, clock: Clock
+    metric: MetricSpec, labels: int, found: Estimate, seen: Callable[[Estimate], Record], clock: Clock
 ) -> Array | str | Crash:
-    """The values of a metric; or why it failed; or its crash."""
-    values = _attempt(partial(numbers, metric, found, record, labels), clock)
+    """The values of a metric of what is ``seen``; or why it failed; or its crash."""
+    values = _attempt(lambda: numbers(metric, found, seen(found), labels), clock)
     return _failed(values, OF_METRIC) if isinstance(values, BaseException) else values
 
 

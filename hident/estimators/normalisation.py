@@ -16,7 +16,7 @@ from hident.arrays import Array, Characteristic
 from hident.config.suggest import one_of
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction, significant
 from hident.numerics.freedoms import Freedom
-from hident.records import Truth
+from hident.records import Estimate, Truth
 
 CLOSE = 1e-4
 """A factor this close to one counts as one: a coefficient that is written with four digits."""
@@ -46,7 +46,8 @@ class Normalisation:
     ``parts`` are spelled as an estimator provides them, values by their letter (``value b`` for b_0, b_1,
     ...). ``factors`` takes a true system and the sampling interval (None: discrete time); it gives None where
     the system does not say, and raises ValueError if nothing brings the system to the rule. ``free`` is what
-    no data determine of these parts; ``left`` is what of it the method does not fix either.
+    no data determine of these parts; ``left`` is what of it the method does not fix either. ``found`` gives
+    the rule of one estimate, where that depends on what was found, such as a delay; None: all have this one.
     """
 
     rule: str
@@ -54,10 +55,15 @@ class Normalisation:
     factors: Callable[[Truth, float | None], Factors | None]
     free: frozenset[Freedom] = frozenset({"gain", "sign"})
     left: frozenset[Freedom] = frozenset()
+    found: Callable[[Estimate], Normalisation] | None = None
 
     def governs(self, part: str) -> bool:
         """Whether a part, such as ``nonlinearity`` or ``value b_1``, depends on the rule."""
         return part in self.parts or part.rpartition("_")[0] in self.parts
+
+    def of(self, estimate: Estimate | None) -> Normalisation:
+        """The rule of one estimate; without one, what is known before."""
+        return self if self.found is None or estimate is None else self.found(estimate)
 
     def leaving(self, *left: Freedom, says: str = "") -> Normalisation:
         """The rule of a method that does not fix these, with what it ``says`` of them."""
@@ -190,7 +196,7 @@ def first_coefficient(
 def behind(rule: Normalisation, delay: int | None, *, responses: bool = False) -> Normalisation:
     """A rule for the discrete block's coefficients, for those from the lag ``delay`` on.
 
-    None is a delay that is searched for: the system's own counts. With ``responses`` the rule is about the
+    None is a delay that is not known yet: the system's own counts. With ``responses`` the rule is about the
     impulse response, else about the numerator.
     """
 
@@ -218,6 +224,34 @@ def behind(rule: Normalisation, delay: int | None, *, responses: bool = False) -
 
     counted = "" if delay == 0 else ", lags counted from the delay" + ("" if delay is None else f" {delay}")
     return replace(rule, rule=rule.rule + counted, factors=factors)
+
+
+def behind_found(
+    rule: Normalisation, delay_of: Callable[[Estimate], int | None], *, responses: bool = False
+) -> Normalisation:
+    """A rule for the discrete block's coefficients, from the lag on that an estimate has found.
+
+    None is no lag of its own: then, and where the system gives nothing at that lag, the system's own delay
+    counts, as it does as long as there is no estimate.
+    """
+    known = behind(rule, None, responses=responses)
+    known = replace(known, rule=f"{known.rule} found")
+
+    def found(estimate: Estimate) -> Normalisation:
+        delay = delay_of(estimate)
+        if delay is None:
+            return known
+        there = behind(rule, delay, responses=responses)
+
+        def factors(truth: Truth, dt: float | None) -> Factors | None:
+            try:
+                return there.factors(truth, dt)
+            except ValueError:
+                return known.factors(truth, dt)
+
+        return replace(known, factors=factors)
+
+    return replace(known, found=found)
 
 
 def unit_slope(rule: str, values: str, *parts: str) -> Normalisation:

@@ -24,10 +24,9 @@ Best = Literal["lowest", "highest", "zero"]
 class Scored:
     """What a metric is to score: the data of a case, and what an estimator makes of them.
 
-    ``truth`` is that of the system in the form in which the metric is given it. ``dt`` is the sampling interval
-    (None: discrete time), ``provides`` the parts of the estimate, ``step``
-    the sampling interval of its discrete linear block, and ``validated`` whether the record has a validation
-    part.
+    ``truth`` is the system's in the form in which the metric is given it. ``dt`` is the sampling interval
+    (None: discrete time), ``provides`` the parts of the estimate, ``step`` the sampling interval of its
+    discrete linear block, and ``validated`` whether the record has a validation part.
     """
 
     samples: int

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from hident.config.suggest import one_of
-from hident.engine.comparable import completed, governed, is_as_declared, moved
+from hident.engine.comparable import completed, depends_on_estimate, governed, is_as_declared, moved
 from hident.engine.experiment import Plan, Unit
 from hident.metrics.base import Comparing, MetricSpec
 from hident.numerics.freedoms import in_words
@@ -30,8 +30,9 @@ def scoring(plan: Plan) -> Iterator[str]:
         for name, metric in unit.metrics.items():
             for rule in _rules(unit, name):
                 _add(rules.setdefault(name, {}).setdefault(rule, []), unit.name)
+            at = " at the system's own delay" if depends_on_estimate(metric, unit.estimator) else ""
             for place, factor in moved(metric, unit.estimator, unit.data.system, unit.data.dt).items():
-                _add(factors.setdefault(unit.name, {}).setdefault(place, []), f"{factor:.4g}")
+                _add(factors.setdefault(unit.name, {}).setdefault(place, []), f"{factor:.4g}{at}")
             if words := _taken_off(metric, unit):
                 _add(apart.setdefault((name, words), []), unit.name)
             if words := metric.says(unit.data.dt):

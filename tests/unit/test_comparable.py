@@ -101,7 +101,8 @@ def test_another_split_of_the_gain_reads_a_few_per_cent_and_says_up_to_what(plan
     assert (
         "Absolute values are compared in nonlinearity; the free factor between the blocks: |b| = 1, b_1 > 0 "
         "(two-stage); gamma_0 = 1, a constant left in (kernel). The truth is brought to that form: linear "
-        "block divided by 2.236 (two-stage); linear block divided by 2 (kernel). Metric nonlinearity: up to "
+        "block divided by 2.236 (two-stage); linear block divided by 2 at the system's own delay (kernel). "
+        "Metric nonlinearity: up to "
         "a constant, which the method leaves open (kernel)."
     ) in (tmp_path / "out" / "table.md").read_text(encoding="utf-8")
 
@@ -529,7 +530,7 @@ def test_tables_say_which_rule_a_score_used_and_what_it_leaves_apart(plan_of):
     assert list(scoring(plan_of(discrete(hammerstein("[1]"), kernel, mise)))) == [rule]
     assert list(scoring(plan_of(discrete(hammerstein("[2]"), kernel)))) == [
         rule,
-        "The truth is brought to that form: linear block divided by 2 (e).",
+        "The truth is brought to that form: linear block divided by 2 at the system's own delay (e).",
         "Metric m: up to a constant, which the method leaves open (e).",
     ]
     for up_to, said in (
@@ -546,7 +547,7 @@ def test_tables_say_which_rule_a_score_used_and_what_it_leaves_apart(plan_of):
         plan = plan_of(discrete(hammerstein("[2]"), kernel, f"{CURVE[:-1]}, up_to: {up_to}}}"))
         assert list(scoring(plan)) == [
             rule,
-            "The truth is brought to that form: linear block divided by 2 (e).",
+            "The truth is brought to that form: linear block divided by 2 at the system's own delay (e).",
             f"Metric m: up to {said}, whichever fits the truth best.",
         ]
     system = WIENER.replace("NONLINEARITY", "chen_type_3").replace("B", "[2]")

@@ -8,6 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 import hident as hi
+from hident.engine.runner import run
 from hident.estimators.nonparametric.delay import _by_chance, delayed, late, search_delay, unexplained
 from hident.records import Held, Part, Record
 from tests.unit.plans import planned, refusals
@@ -143,7 +144,9 @@ def test_the_rule_is_that_of_the_coefficient_at_the_delay(delay, b, factor, pref
     system = hi.Hammerstein(nonlinearity="abs", linear=hi.Arma(a=[0.5], b=b))
     (rule,) = kernel(prefilter=prefilter, delay=delay).normalisations()
     assert rule.factors(system.truth(), None) == {"linear": factor}
-    counted = {2: ", lags counted from the delay 2", "search": ", lags counted from the delay", 0: ""}[delay]
+    counted = {2: ", lags counted from the delay 2", "search": ", lags counted from the delay found", 0: ""}[
+        delay
+    ]
     assert rule.rule == ("b_0 = 1" if prefilter else "gamma_0 = 1, a constant left in") + counted
 
 
@@ -346,3 +349,56 @@ class TestLeftOut:
                 for (start, stop), dt in zip(places, intervals, strict=True)
             }
             assert late(Record(u, np.roll(u, 1), 1.0, parts=parts), 10) == expected
+
+
+@pytest.mark.parametrize("prefilter", [None, hi.KnownDynamics(a=[0.5])])
+@pytest.mark.parametrize("delay", ["search", None])
+def test_an_absolute_score_is_at_the_delay_that_was_found(prefilter, delay):
+    """The system's first coefficient is small, and the estimate that of the larger one behind it."""
+    if prefilter is not None and delay is None:
+        pytest.skip("a prefilter takes no delay that was not asked for")
+    system = hi.Hammerstein(
+        nonlinearity=hi.Polynomial(coefficients=[0, 1, 0.5]), linear=hi.Arma(a=[0.5], b=[0, 0.02, 1])
+    )
+    made = hi.simulate(system, IID, 3000)
+    own, given = kernel(prefilter=prefilter, delay=delay), kernel(prefilter=prefilter, delay=2)
+    metrics = {"n": hi.NonlinearityPercentError(interval=[-0.8, 0.8])}
+    if prefilter is not None:
+        metrics["b"] = hi.ImpulseResponseError()
+    found = hi.fit(own, made)
+    assert hi.score(found, made, own, **metrics) == hi.score(hi.fit(given, made), made, given, **metrics)
+    (rule,) = own.normalisations()
+    assert rule.factors(system.truth(), None) == {"linear": 0.02}
+
+
+def test_a_delay_at_which_the_system_gives_nothing_is_scored_by_the_system_s_own():
+    """What was found is wrong, and its score says how much."""
+    system = hi.Hammerstein(nonlinearity="abs", linear=hi.Fir(b=[0, 4]))
+    (rule,) = kernel(delay="search").normalisations()
+    assert rule.of(hi.Estimate(values={"delay": 3.0})).factors(system.truth(), None) == {"linear": 4.0}
+
+
+@pytest.mark.parametrize("delay", ["search", 2])
+def test_a_run_scores_a_search_as_the_delay_that_it_finds(tmp_path, delay):
+    text = f"""\
+version: 1
+title: A small coefficient before the larger one
+trials: 2
+samples: 400
+system:
+  kind: hammerstein
+  nonlinearity: {{kind: polynomial, coefficients: [0, 1, 0.5]}}
+  linear: {{kind: arma, a: [0.5], b: [0, 0.1, 1]}}
+excitation: {{kind: iid, distribution: uniform, low: -1, high: 1}}
+estimators:
+  k:
+    kind: kernel
+    kernel: gaussian
+    bandwidth: {{h0: 0.3, alpha: 1/5}}
+    prefilter: {{kind: known_dynamics, a: [0.5]}}
+    delay: {delay}
+metrics:
+  m: {{kind: mise, interval: [-0.9, 0.9]}}
+"""
+    (series,) = run(planned(tmp_path, text)).series
+    assert series.value("mean") < 0.01

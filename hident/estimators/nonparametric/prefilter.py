@@ -27,7 +27,7 @@ from hident.estimators.nonparametric.delay import (
     late,
     search_delay,
 )
-from hident.estimators.normalisation import Normalisation, behind, first_coefficient
+from hident.estimators.normalisation import Normalisation, behind, behind_found, first_coefficient
 from hident.linear_blocks import TransferFunction, significant
 from hident.numerics.parts import Parts, in_each, longer_than, whole
 from hident.numerics.rounding import apart
@@ -212,6 +212,16 @@ def _placed(errors: Array, samples: Record, estimate: Estimate) -> Array:
     return errors
 
 
+def _searched(estimate: Estimate) -> int | None:
+    """The delay that a search has found."""
+    return int(estimate.values["delay"]) if "delay" in estimate.values else None
+
+
+def _noticed(estimate: Estimate) -> int | None:
+    """The delay that was noticed though none was given; None if there was none."""
+    return estimate.details.get("late")
+
+
 def _filtered(
     spec: EstimatorSpec, record: Record, rng: np.random.Generator | None
 ) -> tuple[Estimate, Record]:
@@ -328,15 +338,19 @@ class NonparametricSpec(EstimatorSpec):
         return None
 
     def normalisations(self) -> tuple[Normalisation, ...] | None:
-        delay = None if self._given == "search" else self._given
+        search, delay = self._given == "search", 0 if self._given == "search" else self._given
         if self.prefilter is not None:
             rules = self.prefilter.normalisations()
-            return None if rules is None else tuple(behind(rule, delay) for rule in rules)
+            if rules is None:
+                return None
+            return tuple(behind_found(rule, _searched) if search else behind(rule, delay) for rule in rules)
         # The regression on the newest input: gamma_0 times the characteristic, and the mean of all the rest.
         plain = first_coefficient(symbol="gamma")
         rule = plain if self.known_point else plain.leaving("constant", says=", a constant left in")
         if self.delay is None:
-            return (replace(behind(rule, None, responses=True), rule=rule.rule),)
+            return (replace(behind_found(rule, _noticed, responses=True), rule=rule.rule),)
+        if search:
+            return (behind_found(rule, _searched, responses=True),)
         return (behind(rule, delay, responses=True),)
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
