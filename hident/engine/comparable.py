@@ -6,15 +6,28 @@ system with the factor moved keeps that rule too; where none does, values cannot
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 from hident.config.suggest import one_of
-from hident.estimators.base import EstimatorSpec
+from hident.estimators.base import (
+    CONTINUOUS,
+    DISCRETE,
+    FEEDBACK,
+    IMPULSE_RESPONSE,
+    NUMERATOR,
+    POWERS,
+    EstimatorSpec,
+)
 from hident.estimators.normalisation import Factors, Normalisation, brought
 from hident.metrics.base import Comparing, MetricSpec
 from hident.numerics.freedoms import Freedom
 from hident.records import Estimate, Truth
 from hident.systems.base import SystemSpec
+
+# A coefficient, of one of several blocks too: a_1, input_b_0.
+_COEFFICIENT = re.compile(r"(?:.*_)?(?P<letter>[a-h])_(?P<number>-?\d+)")
 
 
 def governed(metric: MetricSpec, estimator: EstimatorSpec) -> Iterator[tuple[Normalisation, list[str]]]:
@@ -41,6 +54,82 @@ def completed(metric: MetricSpec, estimator: EstimatorSpec, dt: float | None) ->
     return metric.completed(left, estimator.discrete_step(dt))
 
 
+def compared_values(metric: MetricSpec) -> list[str]:
+    """The names of the values that a metric compares with the truth's."""
+    parts = (part for need in metric.compares() for part in need.split(" or "))
+    return sorted(part.removeprefix("value ") for part in parts if part.startswith("value "))
+
+
+def other_quantities(
+    names: Iterable[str], estimator: EstimatorSpec, truth: Truth
+) -> dict[str, tuple[str, str]]:
+    """The values that have one name and are not one quantity: what they are in the estimate and the system.
+
+    Those of which one side does not say what they are, are taken to be one.
+    """
+    given, system = _letters_of(estimator), _letters_of_system(truth)
+    found = {}
+    for name in names:
+        match = _COEFFICIENT.fullmatch(name)
+        if match is None or (letter := match["letter"]) not in given or letter not in system:
+            continue
+        one, other = given[letter], system[letter]
+        if one != other and not (
+            {one, other} == {NUMERATOR, IMPULSE_RESPONSE} and _begins_with(truth, int(match["number"]))
+        ):
+            found[name] = (one, other)
+    return found
+
+
+def _letters_of(estimator: EstimatorSpec) -> Mapping[str, str]:
+    """What the values of an estimator are; the numerator of a model without feedback is its response."""
+    letters = estimator.letters()
+    if letters.get("a") == FEEDBACK and not any("a_1" in part for part in estimator.provides()):
+        return {**letters, "b": IMPULSE_RESPONSE}
+    return letters
+
+
+def _letters_of_system(truth: Truth) -> Mapping[str, str]:
+    if truth.continuous is not None or truth.blocks:
+        return {**CONTINUOUS, "c": POWERS}
+    if truth.linear is None:
+        return DISCRETE if truth.discrete_blocks else {}
+    # As Hammerstein.truth names them.
+    return {**DISCRETE, "c": POWERS} if truth.linear.a else {"a": POWERS, "b": NUMERATOR}
+
+
+def _begins_with(truth: Truth, lag: int) -> bool:
+    """Whether the numerator is the impulse response up to this lag: without feedback it is at every one."""
+    return truth.linear is None or not truth.linear.a or not any(truth.linear.b[:lag])
+
+
+def _why_others(metric: MetricSpec, name: str, estimator: EstimatorSpec, truth: Truth) -> str:
+    """Why values of one name are not compared, with the remedies; nothing if they are."""
+    found = other_quantities(compared_values(metric), estimator, truth)
+    if not found:
+        return ""
+    said = dict.fromkeys(found.values())
+    each = "; ".join(
+        f"{', '.join(of for of, pair in found.items() if pair == (one, other))}: {one} in the estimate, "
+        f"{other} in the system"
+        for one, other in said
+    )
+    provides = estimator.provides()
+    instead = [
+        *(["the impulse response (impulse_response_error)"] if {"linear", "continuous"} & provides else []),
+        *(["the nonlinearity (nonlinearity_percent_error)"] if "nonlinearity" in provides else []),
+    ]
+    remedies = [
+        *([f"score {' or '.join(instead)} instead"] if instead else []),
+        "name other values by 'of:'",
+        "limit the metric to other estimators by 'estimators:' under it",
+    ]
+    return (
+        f"compares values that have one name and are different quantities with estimator '{name}' "
+        f"({estimator.kind}) and this system ({each}): {_either(remedies)}"
+    )
+
+
 def depends_on_estimate(metric: MetricSpec, estimator: EstimatorSpec) -> bool:
     """Whether the form in which the metric compares depends on what an estimate has found."""
     return is_as_declared(metric) and any(rule.found for rule, _ in governed(metric, estimator))
@@ -63,6 +152,8 @@ def truth_for(
     ValueError
         If nothing brings the system to a rule.
     """
+    if why := _why_others(metric, "estimator", estimator, truth):
+        raise ValueError(why)
     if not is_as_declared(metric):
         return truth
     return brought(truth, [rule.of(estimate) for rule, _ in governed(metric, estimator)], dt)
@@ -71,7 +162,13 @@ def truth_for(
 def form_of(
     estimator: EstimatorSpec, truth: Truth, dt: float | None, estimate: Estimate | None = None
 ) -> Truth:
-    """The truth in the estimator's form, as far as there is one: what a figure shows beside its estimates."""
+    """The truth in the estimator's form, as far as there is one: what a figure shows beside its estimates.
+
+    Without the values that are other quantities than the estimator's of their names.
+    """
+    if others := other_quantities(truth.values, estimator, truth):
+        values = {name: value for name, value in truth.values.items() if name not in others}
+        truth = replace(truth, values=values)
     rules = [rule.of(estimate) for rule in estimator.normalisations() or ()]
     return brought(truth, [rule for rule in rules if _can_be_kept(rule, truth, dt)], dt)
 
@@ -97,6 +194,9 @@ def incomparable(
     metric: MetricSpec, name: str, estimator: EstimatorSpec, system: SystemSpec, dt: float | None
 ) -> Iterator[str]:
     """Why the metric's score of an estimator, by its name in the file, would say nothing."""
+    if why := _why_others(metric, name, estimator, system.truth()):
+        yield why
+        return
     if not is_as_declared(metric):
         return
     rules = list(governed(metric, estimator))

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hident.arrays import Array
-from hident.engine.comparable import form_of
 from hident.engine.replay import Realised
 from hident.fitted_model import FittedModel
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
-from hident.records import Record, Truth, needed
+from hident.records import Record, needed
 from hident.static_functions import StaticFunction
 from hident.systems.blocks import Wiener
 
@@ -46,20 +45,15 @@ class Curve:
 
 def parameters(realised: Realised) -> Iterator[tuple[str, float, float]]:
     """The values of an estimate that there is: name, value and truth in its form (nan: not known)."""
-    truth = _truth(realised)
+    truth = realised.truth
     for name, value in needed(realised.found).values.items():
         yield name, float(value), float(truth.values.get(name, np.nan))
-
-
-def _truth(realised: Realised) -> Truth:
-    """The truth in the form that the estimator declares."""
-    return form_of(realised.unit.estimator, realised.truth, realised.unit.data.dt, realised.found)
 
 
 @np.errstate(all="ignore")
 def curves(realised: Realised) -> Iterator[Curve]:
     """The curves of an estimate that there is: of its nonlinearity, and of its linear block."""
-    found, truth = needed(realised.found), _truth(realised)
+    found, truth = needed(realised.found), realised.truth
     if found.nonlinearity is not None:
         x = np.linspace(*_range(realised), POINTS)
         yield Curve("nonlinearity", x, _at(found.nonlinearity, x), _at(truth.nonlinearity, x))

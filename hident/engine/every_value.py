@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from hident.config.load import Document, Problem
 from hident.config.spec import Of
 from hident.config.yaml12 import Complaint
+from hident.engine.comparable import compared_values, other_quantities
 from hident.engine.expansion import not_given
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
@@ -87,12 +88,13 @@ def _scored(first: Document, metric: Mapping[str, Any]) -> list[str]:
     written = metric.get("estimators")
     names = [one for one in written if isinstance(one, str)] if isinstance(written, list) else list(every)
     try:
-        true = _truth(first)
+        system = _system(first)
         estimators = [Of("estimator").validate(every[name]) for name in names if name in every]
     except ValidationError:
         # Which is told as well.
         return []
-    estimated = [e.provides() for e in estimators if isinstance(e, EstimatorSpec)]
+    specs = [e for e in estimators if isinstance(e, EstimatorSpec)]
+    true, estimated = frozenset() if system is None else system.provides(), [e.provides() for e in specs]
     prefix = metric.get("prefix", "")
     candidates = {
         name.removeprefix(_OF_A_VALUE).removeprefix(prefix if isinstance(prefix, str) else "")
@@ -101,27 +103,32 @@ def _scored(first: Document, metric: Mapping[str, Any]) -> list[str]:
         if name.startswith(_OF_A_VALUE)
     }
     return sorted(
-        (name for name in candidates if _scores({**metric, "of": [name]}, true, estimated)), key=_by_size
+        (name for name in candidates if _scores({**metric, "of": [name]}, system, specs)), key=_by_size
     )
 
 
-def _truth(first: Document) -> frozenset[str]:
-    """What is known of the system: nothing of that behind a measured record."""
+def _system(first: Document) -> SystemSpec | None:
+    """The system, of which nothing is known behind a measured record."""
     if first.data.get("record") is not None:
-        return frozenset()
+        return None
     system = Of("system").validate(first.data.get("system"))
     assert isinstance(system, SystemSpec)
-    return system.provides()
+    return system
 
 
-def _scores(metric: Mapping[str, Any], true: frozenset[str], estimated: list[frozenset[str]]) -> bool:
+def _scores(metric: Mapping[str, Any], system: SystemSpec | None, estimators: list[EstimatorSpec]) -> bool:
     try:
         spec = Of("metric").validate(metric)
     except ValidationError:
         return False
     assert isinstance(spec, MetricSpec)
-    return not not_given(spec.needs_of_truth(), true) and not any(
-        not_given(spec.needs_of_estimate(), provided) for provided in estimated
+    true = frozenset[str]() if system is None else system.provides()
+    if not_given(spec.needs_of_truth(), true):
+        return False
+    return not any(
+        not_given(spec.needs_of_estimate(), one.provides())
+        or (system is not None and other_quantities(compared_values(spec), one, system.truth()))
+        for one in estimators
     )
 
 

@@ -26,7 +26,7 @@ from hident.engine.written import Written
 from hident.errors import ConfigError, RecordAbsent
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec, Scored
-from hident.records import Truth
+from hident.records import Estimate, Truth
 
 _MOST_UNITS = 100_000
 
@@ -63,9 +63,12 @@ class Unit:
             for name, metric in self.metrics.items()
         }
 
-    def truth(self) -> Truth:
-        """The truth of its system, in the form that the estimator fixes where no data determine it."""
-        return form_of(self.estimator, self.data.system.truth(), self.data.dt)
+    def truth(self, estimate: Estimate | None = None) -> Truth:
+        """The truth of its system, in the form that the estimator fixes where no data determine it.
+
+        A form that depends on what an estimate found is that of the ``estimate``.
+        """
+        return form_of(self.estimator, self.data.system.truth(), self.data.dt, estimate)
 
     def keys(self, seed: int, perturbation: int = 0) -> dict[str, str]:
         """For each metric, the key of its stored trials: data, estimator, metric, code, seed, perturbation.

@@ -129,7 +129,7 @@ class OneTrial:
         if own is None:
             return Realised(unit, truth, record, None, failure)
         found, failure = self._tried(lambda: estimate(unit.data, job, own, seed, self.number))
-        return Realised(unit, truth, own, found, failure)
+        return Realised(unit, unit.truth(found), own, found, failure)
 
     def _tried(self, make: Callable[[], T]) -> tuple[T | None, str]:
         """What is made, or None and why it failed."""

@@ -20,6 +20,17 @@ from hident.records import Estimate, ModelPart, Record
 Experiments = Literal["one", "at_one_interval", "any"]
 """The records of several experiments that an estimator takes: none, those with one sampling interval, all."""
 
+FEEDBACK = "coefficients of a discrete block's feedback"
+NUMERATOR = "coefficients of a discrete block's numerator"
+IMPULSE_RESPONSE = "values of a discrete block's impulse response"
+POWERS = "coefficients of the nonlinearity's powers"
+FUNCTIONS = "coefficients of the nonlinearity's own basis functions"
+DISCRETE: Mapping[str, str] = {"a": FEEDBACK, "b": NUMERATOR}
+CONTINUOUS: Mapping[str, str] = {
+    "a": "coefficients of a continuous block's denominator",
+    "b": "coefficients of a continuous block's numerator",
+}
+
 # Sampling intervals this close, relative to their size, are one.
 _SAME_INTERVAL = 1e-9
 _HUGE = 1e60
@@ -47,6 +58,13 @@ class EstimatorSpec(Component):
     def names(self) -> Sequence[str]:
         """The names of the estimate's values, in the order in which :meth:`named` takes them."""
         return ()
+
+    def letters(self) -> Mapping[str, str]:
+        """What its values are by their letters (``a`` for a_1, a_2, ...); one that is left out is not said.
+
+        A value whose letter is something else in a system is not compared with the system's.
+        """
+        return {}
 
     def provides(self) -> frozenset[str]:
         """The parts of the estimate: those that it ``holds``, and ``value NAME`` for each value."""

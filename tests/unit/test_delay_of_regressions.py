@@ -10,6 +10,7 @@ from pydantic import ValidationError
 import hident as hi
 from hident.engine.runner import run
 from hident.estimators.nonparametric.delay import _by_chance, delayed, late, search_delay, unexplained
+from hident.metrics.base import MetricSpec
 from hident.records import Held, Part, Record
 from tests.unit.plans import planned, refusals
 
@@ -362,7 +363,7 @@ def test_an_absolute_score_is_at_the_delay_that_was_found(prefilter, delay):
     )
     made = hi.simulate(system, IID, 3000)
     own, given = kernel(prefilter=prefilter, delay=delay), kernel(prefilter=prefilter, delay=2)
-    metrics = {"n": hi.NonlinearityPercentError(interval=[-0.8, 0.8])}
+    metrics: dict[str, MetricSpec] = {"n": hi.NonlinearityPercentError(interval=[-0.8, 0.8])}
     if prefilter is not None:
         metrics["b"] = hi.ImpulseResponseError()
     found = hi.fit(own, made)

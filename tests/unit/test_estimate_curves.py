@@ -132,3 +132,37 @@ def test_an_unstable_block_has_curves_too(tmp_path: Path, a: str) -> None:
     found = _curves(_realised(tmp_path, text))
     assert len(found["step_response"].x) < 1000
     assert np.isfinite(found["gain"].values).all()
+
+
+SEARCHED = """
+version: 1
+title: A small coefficient before the larger one
+trials: 1
+samples: 1000
+system: {kind: hammerstein, nonlinearity: identity, linear: {kind: arma, a: [0.5], b: [0, 0.1, 1]}}
+excitation: {kind: iid, distribution: uniform, low: -1, high: 1}
+estimators:
+  found:
+    {kind: kernel, kernel: gaussian, bandwidth: {h0: 0.3, alpha: 1/5},
+     prefilter: {kind: known_dynamics, a: [0.5]}, delay: search}
+metrics: {m: {kind: mise, interval: [-0.9, 0.9]}}
+"""
+
+
+def test_the_truth_is_shown_at_the_delay_that_was_found(tmp_path: Path) -> None:
+    realised = _realised(tmp_path, SEARCHED)
+    curve = _curves(realised)["nonlinearity"]
+    np.testing.assert_allclose(curve.true, curve.x, rtol=1e-12)
+    assert realised.truth.nonlinearity is not None
+    np.testing.assert_allclose(realised.truth.nonlinearity(curve.x), curve.x, rtol=1e-12)
+
+
+def test_a_value_of_the_name_of_another_quantity_has_no_truth_beside_it(tmp_path: Path) -> None:
+    """a_1 is the system's feedback, and the method's coefficient of u."""
+    text = DISCRETE.replace(
+        DISCRETE[DISCRETE.index("    {kind: kernel") : DISCRETE.index("metrics:")], "    ESTIMATOR\n"
+    )
+    text = text.replace("ESTIMATOR", "{kind: two_stage, lags: 3, degree: 2, delay: 0}")
+    beside = {name: true for name, _, true in parameters(_realised(tmp_path, text))}
+    assert np.isfinite(beside["b_0"])
+    assert np.isnan(beside["a_1"])

@@ -1,11 +1,14 @@
 """What no data determine is chosen for the least error, whatever the units."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
+from hident.arrays import Array
 from hident.numerics.freedoms import nearest_argument
 
-FUNCTIONS = {
+FUNCTIONS: dict[str, Callable[[Array], Array]] = {
     "polynomial": lambda x: x + 0.5 * x**2,
     "atan": np.arctan,
     "dead zone": lambda x: x * (np.abs(x) > 0.4),

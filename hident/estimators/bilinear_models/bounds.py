@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Annotated
 
@@ -10,7 +11,7 @@ from pydantic import Field
 
 from hident.arrays import Array
 from hident.config.spec import Real, component
-from hident.estimators.base import with_errors
+from hident.estimators.base import IMPULSE_RESPONSE, with_errors
 from hident.estimators.bilinear_models.bilinear import Regression, identity
 from hident.estimators.bilinear_models.bilinear_least_squares import covariance_root
 from hident.estimators.bilinear_models.known_basis import BilinearSpec
@@ -84,6 +85,9 @@ class KnownNonlinearity(WeightedSpec):
 
     def functions(self) -> tuple[NonlinearitySpec, ...]:
         return (self.nonlinearity,)
+
+    def letters(self) -> Mapping[str, str]:
+        return {"b": IMPULSE_RESPONSE}
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (known_function("the nonlinearity is the given one", self.nonlinearity),)

@@ -5,7 +5,7 @@ Symbols are in :mod:`hident.estimators.bilinear_models.bilinear`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Self
@@ -16,7 +16,15 @@ from pydantic import Field, model_validator
 from hident.arrays import Array, Characteristic
 from hident.config.spec import Count
 from hident.errors import EstimationError
-from hident.estimators.base import AtOneInterval, require_finite, require_varying, varies
+from hident.estimators.base import (
+    FUNCTIONS,
+    IMPULSE_RESPONSE,
+    POWERS,
+    AtOneInterval,
+    require_finite,
+    require_varying,
+    varies,
+)
 from hident.estimators.bilinear_models.bilinear import Regression, normalised, regressors
 from hident.estimators.discrete_response import at_step
 from hident.estimators.normalisation import Normalisation, unit_length
@@ -26,6 +34,9 @@ from hident.numerics.parts import Parts, following, in_each, longer_than
 from hident.records import Estimate, Record, Response, needed
 from hident.systems.base import NonlinearitySpec, OfStatic
 from hident.systems.nonlinearity import Power
+
+# Where functions are told from powers.
+_PROBES = np.array([-2.0, -1.0, 0.0, 0.5, 1.0, 3.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +191,14 @@ class BilinearSpec(LaggedSpec):
             return self.basis
         assert self.degree is not None  # by validation
         return tuple(Power(exponent=j) for j in range(1, self.degree + 1))
+
+    def basis_letter(self) -> str:
+        """What the coefficients of the basis functions are: of powers, if these are x, x^2, ..."""
+        powers = (np.allclose(phi(_PROBES), _PROBES**j) for j, phi in enumerate(self.functions(), start=1))
+        return POWERS if self.degree is not None or all(powers) else FUNCTIONS
+
+    def letters(self) -> Mapping[str, str]:
+        return {"a": self.basis_letter(), "b": IMPULSE_RESPONSE}
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (unit_length(self.delay, self.lags, "a b", responses=True),)

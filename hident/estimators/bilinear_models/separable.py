@@ -16,6 +16,7 @@ way and leave it out.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -25,7 +26,7 @@ from pydantic import Field
 from hident.arrays import Array
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
-from hident.estimators.base import with_errors
+from hident.estimators.base import DISCRETE, with_errors
 from hident.estimators.bilinear_models.bilinear import Regression
 from hident.estimators.bilinear_models.bilinear_least_squares import (
     bilinear_least_squares,
@@ -269,6 +270,9 @@ class SeparableLeastSquares(BilinearSpec):
 
     def fewest_samples(self) -> int:
         return super().fewest_samples() + 2 * self.feedback
+
+    def letters(self) -> Mapping[str, str]:
+        return {**DISCRETE, "c": self.basis_letter()}
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (unit_length(self.delay, self.lags, "b c"),)

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from hident.arrays import Array
 from hident.config.spec import Count, Flag, Real
 from hident.errors import EstimationError
-from hident.estimators.base import AtOneInterval, require_finite, require_varying
+from hident.estimators.base import CONTINUOUS, AtOneInterval, require_finite, require_varying
 from hident.estimators.convergence import Unconverged
 from hident.estimators.moving_horizon.searches import StructureSearch
 from hident.estimators.moving_horizon.transform.horizon_least_squares import (
@@ -76,6 +76,9 @@ class MovingHorizonSpec(AtOneInterval):
     """Time t_0 at which the first horizon starts, counted from the start of each experiment."""
     constant: Flag = False
     """Estimate a constant that is added to the output, such as the offset of a sensor; else it is zero."""
+
+    def letters(self) -> Mapping[str, str]:
+        return CONTINUOUS
 
     def constant_names(self) -> list[str]:
         """The name of the constant's value, if it is estimated."""

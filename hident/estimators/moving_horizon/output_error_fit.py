@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Annotated
 
@@ -77,6 +78,9 @@ class OutputError(AtOneInterval):
 
     def check(self, n: int, dt: float | None) -> None:
         self.start.check(n, dt)
+
+    def letters(self) -> Mapping[str, str]:
+        return self.start.letters()
 
     def normalisations(self) -> tuple[Normalisation, ...] | None:
         return self.start.normalisations()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
 
 from hident.config.spec import component
-from hident.estimators.base import AtOneInterval
+from hident.estimators.base import DISCRETE, AtOneInterval
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.linear_blocks import TransferFunction, significant
 from hident.records import Estimate, Record
@@ -41,6 +42,9 @@ class KnownDynamics(AtOneInterval):
 
     def fewest_samples(self) -> int:
         return len(self.a) + 1
+
+    def letters(self) -> Mapping[str, str]:
+        return DISCRETE
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         lag = int(np.flatnonzero(significant(self.b))[0])

@@ -5,6 +5,7 @@ The reference that the instrumental variables of Mzyk 2009 are to be compared wi
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -13,7 +14,7 @@ from pydantic import Field
 from hident.arrays import Array
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
-from hident.estimators.base import AtOneInterval, require_finite
+from hident.estimators.base import DISCRETE, AtOneInterval, require_finite
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.linear_blocks import TransferFunction
 from hident.numerics.least_squares import Factorisation
@@ -74,6 +75,9 @@ class DynamicsSpec(AtOneInterval):
 
     order: Annotated[Count, Field(ge=1)]
     """Order p of the autoregression."""
+
+    def letters(self) -> Mapping[str, str]:
+        return DISCRETE
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (first_coefficient(),)

@@ -337,6 +337,9 @@ class NonparametricSpec(EstimatorSpec):
     def free_parameters(self) -> None:
         return None
 
+    def letters(self) -> Mapping[str, str]:
+        return {} if self.prefilter is None else self.prefilter.letters()
+
     def normalisations(self) -> tuple[Normalisation, ...] | None:
         search, delay = self._given == "search", 0 if self._given == "search" else self._given
         if self.prefilter is not None:

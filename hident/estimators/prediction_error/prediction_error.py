@@ -12,7 +12,7 @@ from pydantic import Field, field_validator
 
 from hident.config.spec import Count, NonEmpty, Of, Spec, component
 from hident.errors import EstimationError
-from hident.estimators.base import AtOneInterval, require_usable, unknown_past
+from hident.estimators.base import DISCRETE, AtOneInterval, require_usable, unknown_past
 from hident.estimators.normalisation import Normalisation, unit_static_gain
 from hident.estimators.prediction_error.block_specs import BlockSpec, LinearBlock, StaticSpec
 from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain
@@ -122,6 +122,9 @@ class PredictionError(AtOneInterval):
         if len(self.blocks) - len(self._places()) == 1:
             parts.add("nonlinearity")
         return frozenset((*parts, *(f"value {name}" for name in self.names())))
+
+    def letters(self) -> Mapping[str, str]:
+        return DISCRETE
 
     def normalisations(self) -> tuple[Normalisation, ...] | None:
         if any(block.held for block in self.blocks):

@@ -210,6 +210,9 @@ class Select(EstimatorSpec):
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset().union(*(candidate.needs_of_truth() for candidate in self.candidates))
 
+    def letters(self) -> Mapping[str, str]:
+        return self.candidates[0].letters()
+
     def normalisations(self) -> tuple[Normalisation, ...] | None:
         rules: dict[tuple[str, frozenset[str]], Normalisation] = {}
         for candidate in self.candidates:

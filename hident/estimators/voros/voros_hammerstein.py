@@ -15,7 +15,7 @@ taken from the iteration before.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Self
 
@@ -25,7 +25,7 @@ from pydantic import Field, model_validator
 from hident.arrays import Array, Characteristic, Index
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
-from hident.estimators.base import AtOneInterval, require_finite, require_varying
+from hident.estimators.base import DISCRETE, AtOneInterval, require_finite, require_varying
 from hident.estimators.convergence import History, Unconverged, settle
 from hident.estimators.discrete_response import at_step
 from hident.estimators.normalisation import Normalisation, first_coefficient
@@ -187,6 +187,9 @@ class VorosSpec(AtOneInterval):
     """Most iterations."""
     unconverged: Unconverged = "fail"
     """Whether an iteration that has not converged by then counts as failed, or is kept as it is."""
+
+    def letters(self) -> Mapping[str, str]:
+        return DISCRETE
 
     def identify(self, u: Array, y: Array, parts: Parts) -> Iterations:
         """The iterations for a decimated record of these experiments, theta = (a, b, f, g)."""

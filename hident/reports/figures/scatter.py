@@ -57,7 +57,7 @@ class Coordinate(Spec):
         """The true number behind it; None if the metric gives no value of the system."""
         unit = self.series(results).unit
         of = {label: value for name, metric in unit.metrics.items() for label, value in _values(name, metric)}
-        return unit.data.system.truth().values.get(of.get(self.metric, ""))
+        return unit.truth().values.get(of.get(self.metric, ""))
 
 
 class ScatterPanel(Spec):
