@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -148,7 +148,8 @@ class Results:
 
     ``series`` holds one :class:`Series` for each label of a metric of each unit, ``plan`` what was run,
     ``timed_out`` how many trials of units count as failed because they took longer than the trial timeout,
-    ``timings`` how long the fits of each unit took. :meth:`frame` gives the statistics, :meth:`trials_frame`
+    ``timings`` how long the fits of each unit took, ``part_of`` the results of which :meth:`at` took a part.
+    :meth:`frame` gives the statistics, :meth:`trials_frame`
     every trial's value, :meth:`timing_frame` the seconds.
     """
 
@@ -156,6 +157,12 @@ class Results:
     series: tuple[Series, ...]
     timed_out: int = 0
     timings: tuple[Timing, ...] = ()
+    part_of: Results | None = field(default=None, repr=False)
+
+    @property
+    def whole(self) -> Results:
+        """The results of all cases of the experiment, of which these may be a part."""
+        return self.part_of or self
 
     def select(
         self,
@@ -175,7 +182,7 @@ class Results:
             return self
         plan = self.plan.at(labels)
         series = tuple(one for one in self.series if plan.units and one.unit.is_at(labels))
-        return replace(self, plan=plan, series=series)
+        return replace(self, plan=plan, series=series, part_of=self.whole)
 
     def varied(self, series: Series) -> dict[str, Label]:
         """The labels of a series on the axes of the plan: on those that are not held."""

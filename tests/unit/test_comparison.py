@@ -429,6 +429,30 @@ def test_paired_differences_show_trials_intervals_and_failures(tmp_path, of):
     assert axes.get_title() == ("one / two" if of == "of: log_ratio" else "one \N{MINUS SIGN} two")
 
 
+@pytest.mark.parametrize("of_table", ["", "facets: {rows: samples}"])
+@pytest.mark.parametrize("of_figure", ["", "facets: {rows: samples}", "at: {samples: 10}"])
+def test_a_figure_tells_apart_what_its_table_does_whatever_part_it_shows(tmp_path, of_table, of_figure):
+    one = scores(6)
+    # 2/64, which alone would be told, and with the tests of other cases is not.
+    values = {("one", n): one for n in ("10", "100", "1000")} | {("two", "10"): one + scores(6, 2)}
+    rest = PAIRED.replace("OF", of_table).replace("label: Difference of MISE", f"label: D, {of_figure}")
+    results = made(tmp_path, values, rest=rest)
+    figure: Any = results.plan.experiment.figures["f"]
+    assert misfits(results.plan, figure) == []
+    with style():
+        shown = figure.drawn(results, [])
+    labels = [str(line.get_label()) for axes in shown.axes for line in axes.get_lines()]
+    assert labels.count("mean, 95 % interval; tied") == (1 if "at" in of_figure[:2] else 3)
+    assert "mean, 95 % interval; told apart" not in labels
+
+
+def test_a_figure_of_labels_that_its_table_leaves_out_is_refused(tmp_path):
+    rest = PAIRED.replace("OF", "at: {samples: 10}").replace("Difference of MISE", "D, at: {samples: 100}")
+    results = made(tmp_path, {}, rest=rest)
+    figure: Any = results.plan.experiment.figures["f"]
+    assert misfits(results.plan, figure) == [(("table",), "the table 't' compares no two methods there")]
+
+
 @pytest.mark.parametrize("values", [[1.0], [NAN], [NAN, NAN], [0.0, 0.0]])
 @pytest.mark.parametrize("of", ["of: difference", "of: log_ratio", "statistic: median"])
 def test_paired_differences_of_next_to_nothing_are_drawn(tmp_path, values, of):

@@ -57,6 +57,8 @@ class _OfComparison(FigureSpec):
         source = plan.experiment.tables[self.table]
         if not isinstance(source, Comparison):
             yield ("table",), f"the table '{self.table}' must be of kind comparison, not {source.kind}"
+        elif not source.cases(plan):
+            yield ("table",), f"the table '{self.table}' compares no two methods there"
 
     def comparison(self, plan: Plan) -> Comparison:
         """The table."""
@@ -70,7 +72,8 @@ class PairedDifferences(_OfComparison):
     """The differences or ratios of a table of kind comparison: a panel for each pair, a row for each case.
 
     A grey point is a trial in which neither method failed; how often each failed stands at the right. Over
-    them stands the table's statistic with its interval, hollow where the test tells nothing.
+    them stands the table's statistic with its interval, hollow where the test of the table tells nothing: its
+    p-values are adjusted over the whole table, of which the figure may show a part.
     """
 
     x_label: str

@@ -59,6 +59,11 @@ class Versus:
     adjusted: float = float("nan")
 
     @property
+    def units(self) -> tuple[int, int]:
+        """The ``id`` of the units of both: the same in the whole results and in a part of them."""
+        return id(self.case.units[self.first]), id(self.case.units[self.second])
+
+    @property
     def side(self) -> int:
         """1 where the test tells that the first method is better, -1 the second, 0 where it tells nothing."""
         return self.pair.side if self.adjusted <= LEVEL else 0
@@ -187,8 +192,23 @@ class Comparison(TableSpec):
         return found
 
     def compared(self, results: Results) -> list[Versus]:
-        """All pairs in all cases, their p-values adjusted together."""
-        return _adjusted([self._tested(results)])[0]
+        """All pairs in all cases; of results that are a part, with the p-values of the whole table."""
+        adjusted = {one.units: one.adjusted for part in self._blocks(results.whole).values() for one in part}
+        return [replace(one, adjusted=adjusted[one.units]) for one in self._tested(results)]
+
+    def _blocks(self, results: Results) -> dict[tuple[int, int], list[Versus]]:
+        """The pairs of each row and column of blocks, their p-values adjusted as one family."""
+        tested = {at: self._tested(part) for at, part in self._parts(results).items()}
+        adjusted = iter(holm([one.pair.p for block in tested.values() for one in block]))
+        return {
+            at: [replace(one, adjusted=float(next(adjusted))) for one in block]
+            for at, block in tested.items()
+        }
+
+    def _parts(self, results: Results) -> dict[tuple[int, int], Results]:
+        """The results of each row and column of blocks."""
+        parts = {(f.row, f.column): results.at(f.labels) for f in Grid(self.facets, results.plan)}
+        return {at: part for at, part in parts.items() if part.series}
 
     def _tested(self, results: Results) -> list[Versus]:
         """All pairs in all cases, each by itself."""
@@ -213,18 +233,11 @@ class Comparison(TableSpec):
     def built(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         if self.facets is None:
             return super().built(results, verdicts)
-        grid = Grid(self.facets, results.plan)
-        parts = {(facet.row, facet.column): results.at(facet.labels) for facet in grid}
-        parts = {at: part for at, part in parts.items() if part.series}
-        # All blocks are one table, and its tests one family.
-        every = _adjusted([self._tested(part) for part in parts.values()])
-        tests = sum(map(_tests, every))
+        parts, blocks = self._parts(results), self._blocks(results)
+        tests = sum(map(_tests, blocks.values()))
         return joined(
-            grid,
-            {
-                at: self._table(part, found, tests)
-                for (at, part), found in zip(parts.items(), every, strict=True)
-            },
+            Grid(self.facets, results.plan),
+            {at: self._table(parts[at], block, tests) for at, block in blocks.items()},
         )
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
@@ -411,12 +424,6 @@ def ranks(pairs: Sequence[Versus]) -> dict[str, int]:
 def series_of_units(results: Results, metric: str) -> dict[int, Series]:
     """The series of a metric by the ``id`` of their units."""
     return {id(one.unit): one for one in results.series if one.metric == metric}
-
-
-def _adjusted(parts: Sequence[Sequence[Versus]]) -> list[list[Versus]]:
-    """The pairs of all parts, their p-values adjusted as one family."""
-    adjusted = iter(holm([one.pair.p for part in parts for one in part]))
-    return [[replace(one, adjusted=float(next(adjusted))) for one in part] for part in parts]
 
 
 def _tests(found: Iterable[Versus]) -> int:
