@@ -10,6 +10,7 @@ import re
 import unicodedata
 from collections.abc import Callable, Iterable, Sequence
 
+from hident.reports.mathematics import typeset_by
 from hident.reports.table import Table, is_number
 
 PREAMBLE = (
@@ -28,12 +29,14 @@ _EMPTY = ("", "-", "nan", "inf", "none")
 _PIECE = re.compile(rf"(?P<open>\[?)(?P<number>{_NUMBER})(?P<close>[\],]?)")
 _SIGNS = {"±": r"$\pm$", ">=": r"$\geq$", "<=": r"$\leq$", "=": "$=$", "~": r"$\sim$", "?": "?", "!": "!"}
 _PERCENTILE = re.compile(r"p\d+")
-# $...$ is mathematics already; what follows is, too; the last is code.
+# Mathematics without dollars; the last is code.
 _NAMES = "alpha beta gamma delta epsilon zeta eta theta lambda mu nu xi rho sigma tau phi psi omega"
 _TOKEN = re.compile(
-    rf"(\$[^$]+\$)|(?<![\w\\])([^\W\d_]|{_NAMES.replace(' ', '|')})_(-?\w+)(?!\w)"
+    rf"(?<![\w\\])([^\W\d_]|{_NAMES.replace(' ', '|')})_(-?\w+)(?!\w)"
     r"|\b([A-Za-z])\^(-?\w+)|`([^`]+)`"
 )
+# Letters that mean themselves to no mathematics of LaTeX, but to that of figures.
+_SPECIAL, _BACKSLASHED = re.compile(r"(?<!\\)[%&#]"), r"\\\g<0>"
 _ESCAPED = {
     "\\": r"\textbackslash{}",
     "~": r"$\sim$",
@@ -67,13 +70,21 @@ _CAPITAL = "ΓΔΘΛΞΠΣΥΦΨΩ"
 
 
 def escaped(text: str) -> str:
-    """A text in which every letter means itself to LaTeX; ``$...$`` stays, and a_1 and R^-1 are mathematics.
+    """A text in which every letter means itself to LaTeX; ``$...$``, a_1 and R^-1 are mathematics.
 
     Examples
     --------
     >>> escaped("σ of a_1, 95 % & my_file, R^-1")
     '$\\\\sigma$ of $a_{1}$, 95 \\\\% \\\\& my\\\\_file, $R^{-1}$'
     """
+    return typeset_by(text, _mathematics, _words)
+
+
+def _mathematics(text: str) -> str:
+    return f"${_SPECIAL.sub(_BACKSLASHED, text)}$"
+
+
+def _words(text: str) -> str:
     found, last = [], 0
     for token in _TOKEN.finditer(text):
         found += [_letters(text[last : token.start()]), _of_token(token)]
@@ -82,9 +93,7 @@ def escaped(text: str) -> str:
 
 
 def _of_token(token: re.Match[str]) -> str:
-    mathematics, letter, index, base, power, code = token.groups()
-    if mathematics:
-        return str(mathematics)
+    letter, index, base, power, code = token.groups()
     if letter:
         index = index.replace("_", r"\_")
         # A word is no product of its letters.

@@ -5,12 +5,13 @@ from __future__ import annotations
 import io
 import re
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from hident.engine.run_files import Format
 from hident.reports import canvas
+from hident.reports.mathematics import typeset_by
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -107,13 +108,39 @@ def symbol(name: str) -> str:
 
 
 def typeset(figure: Figure) -> None:
-    """Set powers as in R^-1 as mathematics, in every text that is not mathematics already."""
+    """Set powers as in R^-1 as mathematics, in every text that holds none already, and dollars as such."""
     from matplotlib.text import Text
+    from matplotlib.ticker import FuncFormatter
 
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
-        if "$" not in (said := text.get_text()) and _POWER.search(said):
-            text.set_text(_POWER.sub(r"$\1^{\2}$", said))
+        said = text.get_text()
+        shown = _with_dollars(said)
+        if shown.count("$") == shown.count("\\$") and _POWER.search(shown):
+            shown = _POWER.sub(r"$\1^{\2}$", shown)
+        if shown != said:
+            text.set_text(shown)
+    # The text of a tick is written anew with each drawing.
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        if isinstance(formatter := axis.get_major_formatter(), FuncFormatter):
+            formatter.func = _TickText(formatter.func)
+
+
+class _TickText:
+    """The text of a tick that ``text`` gives, its dollars as matplotlib wants them."""
+
+    def __init__(self, text: Callable[..., str]) -> None:
+        self._text = text
+
+    def __call__(self, *at: Any) -> str:
+        return _with_dollars(self._text(*at))
+
+
+def _with_dollars(text: str) -> str:
+    """A text for matplotlib, to which all pairs of dollars without a backslash are mathematics."""
+    if "$" not in text:
+        return text
+    return typeset_by(text, "${}$".format, lambda words: words.replace("$", "\\$"))
 
 
 def looks(labels: Iterable[str]) -> dict[str, Look]:

@@ -7,6 +7,7 @@ import pytest
 from hident.errors import ConfigError, EstimationError
 from hident.reports.figures.curve import Curve
 from hident.reports.output import Outputs, check, markdown
+from hident.reports.style import typeset
 from tests.unit.results_maker import made
 
 LABELLED = "  size:\n    small: {noise: {kind: white, std: 1}}\n    large: {noise: {kind: white, std: 2}}\n"
@@ -120,6 +121,29 @@ def test_a_label_that_is_no_mathematics_is_named_and_withholds_nothing_else(tmp_
     assert outputs.write(repaired, {}) == ()
     assert outputs.state() == "up to date"
     assert (outputs.folder / "f.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("label", "drawn"),
+    [
+        ("Costs $5 & 7% of $10", r"Costs \$5 & 7% of \$10"),
+        ("5$ {x}_{, $\\sigma$ = 0.1", r"5\$ {x}_{, $\sigma$ = 0.1"),
+        ("50% & $$a_1$$", r"50% & \$$a_1$\$"),
+        ("$x_$ of R^-1", r"\$x_\$ of $R^{-1}$"),
+        ("$x$ of R^-1", "$x$ of R^-1"),
+        (r"\$5 and \$6", r"\$5 and \$6"),
+    ],
+)
+def test_dollars_are_mathematics_where_they_pair_around_some(label, drawn):
+    from matplotlib.figure import Figure
+
+    figure = Figure()
+    axes = figure.add_subplot(xlabel=label)
+    axes.set_yticks([0.0], [label])
+    typeset(figure)
+    figure.draw_without_rendering()
+    assert axes.get_xlabel() == drawn
+    assert axes.get_yticklabels()[0].get_text() == drawn.replace("$R^{-1}$", "R^-1")
 
 
 def test_a_fault_in_a_figure_is_raised_when_all_else_is_written(tmp_path, monkeypatch):
