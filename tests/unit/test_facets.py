@@ -120,6 +120,21 @@ def test_in_narrow_panels_no_numbers_and_no_labels_touch(size, kept):
         assert end < room
 
 
+def test_rows_and_columns_keep_their_titles_where_their_outer_panels_are_left_out(tmp_path):
+    fields = "facets: {rows: sigma, columns: law, names: {sigma: s}}"
+    skip = "skip: [{sigma: 2, law: other}, {sigma: 0.5, law: uniform}]\n"
+    grid = np.array(drawn(results_of(tmp_path, skip + CURVE.format(fields=fields))).axes).reshape(3, 2)
+    assert [[axes.get_visible() for axes in row] for row in grid] == [
+        [False, True],
+        [True, True],
+        [True, False],
+    ]
+    assert [axes.get_title() for axes in (grid[1, 0], grid[0, 1])] == ["law = uniform", "law = other"]
+    assert grid[1, 1].get_title() == grid[2, 0].get_title() == ""
+    beside = [[text.get_text() for text in axes.texts] for axes in (grid[0, 1], grid[1, 1], grid[2, 0])]
+    assert beside == [["s = 0.5"], ["s = 1"], ["s = 2"]]
+
+
 def test_labels_are_held(tmp_path):
     figure = drawn(results_of(tmp_path, CURVE.format(fields="at: {sigma: 2, law: other}")))
     [axes] = figure.axes
