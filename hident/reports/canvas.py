@@ -66,6 +66,21 @@ class Canvas:
         """The width in inches that is given; panels take that of a page at most."""
         return None if self.size is None else WIDTHS[self.size] / _INCH
 
+    @property
+    def room(self) -> float:
+        """Inches that a panel may be wide."""
+        return (self.width or WIDTHS["page"] / _INCH) / self.columns
+
+    def fits(self, height: float) -> bool:
+        """Whether rows of panels of a height in inches are no higher than the page."""
+        return height * self.rows * _INCH <= _HEIGHT
+
+    def fit(self, height: float, remedy: str) -> None:
+        """ValueError, with a remedy, if they are higher."""
+        if not self.fits(height):
+            needed = height * self.rows * _INCH
+            raise ValueError(f"it would be {needed:.0f} mm high, and a page has {_HEIGHT:.0f}: {remedy}")
+
     def beside(self, columns: int, width: float) -> int:
         """How many of so many axes, which may stand below each other too, stand side by side."""
         room = self.width or WIDTHS["page"] / _INCH

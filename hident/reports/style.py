@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -140,7 +141,27 @@ def _with_dollars(text: str) -> str:
     """A text for matplotlib, to which all pairs of dollars without a backslash are mathematics."""
     if "$" not in text:
         return text
-    return typeset_by(text, "${}$".format, lambda words: words.replace("$", "\\$"))
+    return typeset_by(text, "${}$".format, _escaped_dollars)
+
+
+def _escaped_dollars(words: str) -> str:
+    return words.replace("$", "\\$")
+
+
+def wrapped(text: str, letters: int) -> list[str]:
+    """The lines of a text, of so many letters at most; mathematics is not broken.
+
+    Examples
+    --------
+    >>> wrapped("instrumental variables, order 2", 15)
+    ['instrumental', 'variables,', 'order 2']
+    >>> wrapped("slope $N^{-1} + 1$", 7)
+    ['slope', '$N^{-1} + 1$']
+    """
+    # No line breaks at a blank of this kind.
+    kept = typeset_by(text, lambda inside: f"${inside.replace(' ', chr(0xA0))}$", _escaped_dollars)
+    broken = textwrap.wrap(kept, max(letters, 1), break_long_words="$" not in text, break_on_hyphens=False)
+    return [line.replace("\xa0", " ") for line in broken] or [""]
 
 
 def looks(labels: Iterable[str]) -> dict[str, Look]:

@@ -1,18 +1,24 @@
 """Tables of kind comparison, and the figures of them."""
 
+import itertools
+import re
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
+from matplotlib.axis import XTick
+from matplotlib.text import Text
 
 from hident import plugins
 from hident.config.spec import components
+from hident.engine.results import Results, Series
 from hident.errors import ConfigError
 from hident.ledger.verdicts import judge
 from hident.metrics.base import MetricSpec
 from hident.reports.base import misfits
 from hident.reports.output import check
-from hident.reports.style import style
+from hident.reports.style import style, typeset
 from tests.unit.plans import planned, refusals
 from tests.unit.results_maker import made
 
@@ -479,3 +485,79 @@ def test_critical_differences_join_what_is_not_told_apart(tmp_path):
     (axes,) = drawn(results).axes
     bars = [line for line in axes.get_lines() if line.get_linewidth() > 3.0]
     assert [np.round(bar.get_xdata(), 2).tolist() for bar in bars] == [[1.46, 1.54]]
+
+
+def fitting(folder, figure, names, **words):
+    """A figure of methods with these names as it is laid out, of random errors."""
+    rest = f"tables:\n  t: {{kind: comparison, metric: error, title: T}}\nfigures:\n  f: {{{figure}}}\n"
+    text = re.sub(r"  (two|one): \{kind: validation_error.*\n", "", config(rest, **words))
+    for old, new in zip("abc", names, strict=True):
+        text = text.replace(f"\n  {old}: ", f"\n  {new!r}: ")
+    plan = planned(folder, text)
+    check(plan)
+    rng = np.random.default_rng(1)
+    series = [
+        Series(unit, label, rng.uniform(1.0, 9.0, plan.trials))
+        for unit in plan.units
+        for label in unit.metric_labels
+    ]
+    spec: Any = plan.experiment.figures["f"]
+    with style():
+        shown = spec.drawn(Results(plan, tuple(series)), [])
+        typeset(shown)
+        shown.draw_without_rendering()
+    return shown
+
+
+def texts_of(figure):
+    """All texts that are seen, with their boxes."""
+    axes = figure.findobj(Axes)
+    ticks = [tick for one in axes for axis in (one.xaxis, one.yaxis) for tick in axis.get_major_ticks()]
+    unseen = {tick.label2 for tick in ticks}
+    for tick in ticks:
+        low, high = sorted(tick.axes.get_xlim() if isinstance(tick, XTick) else tick.axes.get_ylim())
+        if not tick.axes.axison or not low <= tick.get_loc() <= high:
+            unseen.add(tick.label1)
+    found = [text for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()]
+    found = [text for text in found if text not in unseen and (text.axes is None or text.axes.get_visible())]
+    return [(text.get_text(), text.get_window_extent()) for text in found]
+
+
+ORDINARY = ("instrumental variables, order 2", "bilinear least squares, degree 4", "two-stage, nine lags")
+LONG = ("a method whose name goes on and on, never ends, and says all of its settings", *ORDINARY[1:])
+TEN = ", ".join(f"0.{i}" for i in range(11, 21))
+
+
+@pytest.mark.parametrize("names", [ORDINARY, LONG], ids=["ordinary", "long"])
+@pytest.mark.parametrize(
+    "figure",
+    [
+        "kind: paired_differences, table: t, x_label: error",
+        "kind: paired_differences, table: t, x_label: error, size: column",
+        "kind: paired_differences, table: t, x_label: error, size: page",
+        "kind: paired_differences, table: t, x_label: error, facets: {rows: s}",
+        "kind: critical_differences, table: t, size: column",
+        "kind: critical_differences, table: t",
+    ],
+)
+def test_no_text_of_a_comparison_lies_on_another_or_is_cut(tmp_path, figure, names):
+    shown = fitting(tmp_path, figure, names, cases=TEN if "critical" in figure else "0.1, 0.2", trials="12")
+    texts = texts_of(shown)
+    for said, box in texts:
+        assert min(box.x0, box.y0, shown.bbox.x1 - box.x1, shown.bbox.y1 - box.y1) > -1.0, said
+    for (said, at), (other, there) in itertools.combinations(texts, 2):
+        overlap = min(at.x1, there.x1) - max(at.x0, there.x0), min(at.y1, there.y1) - max(at.y0, there.y0)
+        assert min(overlap) < 2.0, (said, other)
+    assert any("never ends" in " ".join(said.split()) for said, _ in texts) == (names is LONG)
+    if "column" in figure:
+        assert shown.get_figwidth() * 25.4 == pytest.approx(88.0)
+
+
+def test_comparisons_for_which_paper_has_no_room_say_so(tmp_path):
+    with pytest.raises(ValueError, match=r"it would be \d+ mm high, and a page has 220: take a wider 'size'"):
+        fitting(
+            tmp_path,
+            "kind: paired_differences, table: t, x_label: error, size: column",
+            LONG,
+            cases=", ".join(f"0.{i}" for i in range(10, 90)),
+        )

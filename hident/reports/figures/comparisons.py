@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -16,6 +17,7 @@ from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
 from hident.numerics.paired import critical_difference, friedman_p, groups_within, shared_ranks
 from hident.reports.base import FigureSpec, Misfit
+from hident.reports.canvas import canvas
 from hident.reports.style import (
     DATA,
     LINES,
@@ -23,8 +25,8 @@ from hident.reports.style import (
     Look,
     few_log_ticks,
     legend_above,
-    panel_rows,
     subplots,
+    wrapped,
 )
 from hident.reports.tables.comparison import Case, Comparison, Versus, series_of_units
 from hident.reports.tables.writing import written
@@ -35,14 +37,21 @@ if TYPE_CHECKING:
 
 _FEWEST_CASES = 10
 _FEWEST_METHODS = 3
-# Inches: a row of a panel, and what stands above and below its rows.
-_ROW = 0.24
+# Inches: a row of a panel, a panel, and what stands above and below its rows and around all panels.
+_ROW, _PANEL = 0.24, 2.1
 _AROUND_ROWS = 0.55
+_AROUND = (1.2, 0.7)
+# Inches: a letter, one at the right of a panel, a line of them, and the space between panels.
+_LETTER, _SMALL_LETTER, _LINE, _GAP = 0.062, 0.048, 0.14, 0.12
+# Inches that a panel is wide in any case, and that a number of an abscissa takes.
+_NARROWEST, _NUMBER = 0.85, 0.28
+# The share of the width that labels of rows may take, and lines of a name over panels beside each other.
+_LABELS, _LINES = 0.4, 2
 # Of the distance of two rows, how far the points of one spread, and by which steps.
 _SPREAD = 0.5
 _STEP = 0.6180339887
-# Letters of both names that fit over a panel.
-_TITLE = 30
+# Inches of the average ranks: all, the least of the scale, and a letter of the heading.
+_WIDE, _SCALE, _HEADING = 6.4, 1.2, 0.064
 _SEVERAL_DECADES = 100.0
 _MANY_DECADES = 1e4
 _TOLD: Look = {"color": "black", "marker": "o", "linestyle": "none", "markersize": 5, "zorder": 5}
@@ -87,25 +96,30 @@ class PairedDifferences(_OfComparison):
         for one in source.compared(results):
             pairs.setdefault((one.first, one.second), []).append(one)
         cases = list({id(one.case): one.case for some in pairs.values() for one in some}.values())
-        size = (2.1, _ROW * len(cases) + _AROUND_ROWS)
-        figure, grid = panel_rows(len(pairs), self.columns, size, (1.2, 0.7), sharey=True)
         sign = "\N{MINUS SIGN}" if source.of == "difference" else "/"
-        for ((first, second), some), axes in zip(pairs.items(), grid.flat, strict=False):
-            apart = " " if len(first) + len(second) < _TITLE else "\n"
-            axes.set_title(f"{first}{apart}{sign} {second}", fontsize="small")
-            self._panel(axes, some, {id(case): i for i, case in enumerate(cases)}, source)
+        layout = _Layout.of(list(pairs), sign, _names(cases), min(self.columns, len(pairs)), _failed(pairs))
+        figure, grid = layout.axes(len(pairs))
+        for title, some, axes in zip(layout.titles, pairs.values(), grid.flat, strict=False):
+            axes.set_title(title, fontsize="small")
+            self._panel(axes, some, {id(case): i for i, case in enumerate(cases)}, source, layout.panel)
         grid.flat[0].set_ylim(len(cases) - 0.4, -0.6)
         for axes in grid[:, 0]:
-            axes.set_yticks(range(len(cases)), _names(cases), fontsize="small")
+            axes.set_yticks(range(len(cases)), layout.labels, fontsize="small")
         sides = ("second", "first") if source.best_of(results.plan) == "highest" else ("first", "second")
-        figure.supxlabel(
-            f"{self.x_label}\n← {sides[0]} is better    {sides[1]} is better →", fontsize="medium"
-        )
+        letters = int(layout.width / _LETTER)
+        below = [line for part in self.x_label.split("\n") for line in wrapped(part, letters)]
+        below.append(f"← {sides[0]} is better    {sides[1]} is better →")
+        figure.supxlabel("\n".join(below), fontsize="medium")
         legend_above(figure)
         return figure
 
     def _panel(
-        self, axes: Axes, some: Sequence[Versus], place: Mapping[int, int], source: Comparison
+        self,
+        axes: Axes,
+        some: Sequence[Versus],
+        place: Mapping[int, int],
+        source: Comparison,
+        width: float,
     ) -> None:
         ratios = source.of == "log_ratio"
         if ratios:
@@ -131,9 +145,8 @@ class PairedDifferences(_OfComparison):
                 words = f"{geometric}{source.statistic}, 95 % interval; {told}"
                 axes.plot(estimate, y, label=words, **(_TOLD if one.side else _TIED))
             if any(one.pair.failed):
-                said = f"{one.pair.failed[0]}, {one.pair.failed[1]} failed"
                 axes.annotate(
-                    said,
+                    _failures(one),
                     (1.0, y),
                     xycoords=("axes fraction", "data"),
                     xytext=(3, 0),
@@ -143,7 +156,7 @@ class PairedDifferences(_OfComparison):
                 )
         axes.set_xlim(left, right)
         if ratios:
-            _ratio_ticks(axes, right / left)
+            _ratio_ticks(axes, right / left, width)
         axes.grid(visible=False, axis="y")
 
 
@@ -153,12 +166,97 @@ def _names(cases: Sequence[Case]) -> list[str]:
     return [", ".join(f"{axis} {case.labels[axis]}" for axis in differ) or case.described() for case in cases]
 
 
-def _ratio_ticks(axes: Axes, span: float) -> None:
-    """Numbers at 1, 2 and 5 of each decade, or at decades alone where there are several."""
+@dataclass(frozen=True)
+class _Layout:
+    """How the panels of pairs stand, in inches: what they say is broken into lines that fit."""
+
+    columns: int
+    panel: float
+    width: float
+    height: float
+    lines: int
+    titles: list[str]
+    labels: list[str]
+
+    @classmethod
+    def of(
+        cls, pairs: Sequence[tuple[str, str]], sign: str, rows: Sequence[str], most: int, failures: int
+    ) -> _Layout:
+        """The most columns whose titles are short; ValueError where the paper has no room for any."""
+        if (paper := canvas()) is None:
+            return cls._of(pairs, sign, rows, most, failures, None)
+        every = [cls._of(pairs, sign, rows, n, failures, paper.room) for n in range(most, 0, -1)]
+        if not (wide := [one for one in every if one.panel >= _NARROWEST]):
+            raise ValueError(
+                f"beside the labels of its rows a panel has {25.4 * max(every[-1].panel, 0.0):.0f} mm of "
+                f"{25.4 * paper.room:.0f}: take a wider 'size', hold labels with 'at', or give shorter ones"
+            )
+        lowest = min(wide, key=lambda one: one.height)
+        paper.fit(lowest.height, "take a wider 'size', hold labels with 'at', or name fewer estimators")
+        short = [one for one in wide if one.lines <= 2 * _LINES and paper.fits(one.height)]
+        return (short or [lowest])[0]
+
+    @classmethod
+    def _of(
+        cls,
+        pairs: Sequence[tuple[str, str]],
+        sign: str,
+        rows: Sequence[str],
+        columns: int,
+        failures: int,
+        room: float | None,
+    ) -> _Layout:
+        width = _PANEL * columns + _AROUND[0] if room is None else room
+        labels = [wrapped(row, int(_LABELS * width / _LETTER)) for row in rows]
+        beside = _LETTER * max(len(line) for lines in labels for line in lines)
+        # A title may stand over the failures, too.
+        above = (width - beside) / columns - _GAP
+        panel = above - _SMALL_LETTER * failures
+        titles = [_title(*pair, sign, int(above / _LETTER)) for pair in pairs]
+        lines = max(map(len, titles))
+        row = max(_ROW, _LINE * max(map(len, labels)) + 0.06)
+        if room is None:
+            over, around = _LINE * (lines - 1) * (lines > 2), _AROUND[1]
+        else:
+            # There the legend has a line for each of its labels.
+            over, around = _LINE * lines, _AROUND[1] + 4 * _LINE
+        height = (row * len(rows) + _AROUND_ROWS + over) * -(-len(pairs) // columns) + around
+        joined = [["\n".join(lines) for lines in some] for some in (titles, labels)]
+        return cls(columns, panel, width, height, lines, *joined)
+
+    def axes(self, count: int) -> tuple[Figure, Any]:
+        """The figure and the rows of its axes."""
+        rows = -(-count // self.columns)
+        figsize = (self.width, self.height)
+        figure, grid = subplots(rows, self.columns, squeeze=False, figsize=figsize, sharey=True)
+        for axes in grid.flat[count:]:
+            axes.set_visible(False)
+        return figure, grid
+
+
+def _title(first: str, second: str, sign: str, letters: int) -> list[str]:
+    """The lines of the title of a pair: one if it fits."""
+    if len(whole := f"{first} {sign} {second}") <= letters:
+        return [whole]
+    return [*wrapped(first, letters), *wrapped(f"{sign} {second}", letters)]
+
+
+def _failures(one: Versus) -> str:
+    return f"{one.pair.failed[0]}, {one.pair.failed[1]} failed"
+
+
+def _failed(pairs: Mapping[tuple[str, str], Sequence[Versus]]) -> int:
+    """The letters that stand at the right of the panels."""
+    failed = [one for some in pairs.values() for one in some if any(one.pair.failed)]
+    return max((len(_failures(one)) for one in failed), default=0)
+
+
+def _ratio_ticks(axes: Axes, span: float, width: float) -> None:
+    """Numbers at 1, 2 and 5 of each decade, or at decades alone where there are several or no room."""
     from matplotlib.ticker import LogLocator
 
     few_log_ticks(axes.xaxis)
-    if span > _SEVERAL_DECADES:
+    if span > _SEVERAL_DECADES or 3.0 * np.log10(span) * _NUMBER > width > _NUMBER * np.log10(span) > 0.0:
         axes.xaxis.set_major_locator(LogLocator(numticks=5 if span < _MANY_DECADES else 3))
 
 
@@ -224,27 +322,37 @@ class CriticalDifferences(_OfComparison):
         reach = critical_difference(len(names), len(scores))
         groups = groups_within([float(ranks[i]) for i in order], reach)
         half = (len(names) + 1) // 2
-        lowest = half + 0.35 * len(groups)
-        figure, axes = subplots(figsize=(6.4, 0.85 + 0.26 * lowest))
+        width = _WIDE if (paper := canvas()) is None else paper.room
+        said = [
+            wrapped(f"{name} ({rank:.2f})" + f", {failed[name]} failed" * (failed[name] > 0), letters)
+            for letters in [int((width - _SCALE) / 2.0 / _LETTER)]
+            for name, rank in zip(names, ranks, strict=True)
+        ]
+        # One line has the place of one.
+        step = 1.0 + 0.5 * (max(map(len, said)) - 1)
+        lowest = half * step + 0.35 * len(groups)
+        heading = wrapped(
+            f"average rank by the median of {source.metric} over {len(scores)} cases; Friedman's p = "
+            f"{written(friedman_p(ranked), 2)}",
+            int(width / _HEADING),
+        )
+        height = 0.85 + 0.26 * lowest + _LINE * (len(heading) - 1)
+        if paper is not None:
+            paper.fit(height, "name fewer estimators, or shorter ones")
+        figure, axes = subplots(figsize=(width, height))
         _scale(axes, len(names), reach)
         for place, i in enumerate(order):
             at_left = place < half
-            below = 0.35 * len(groups) + (place if at_left else len(names) - 1 - place) + 0.9
+            below = 0.35 * len(groups) + step * (place if at_left else len(names) - 1 - place) + 0.9
             end = 1.0 - 0.12 if at_left else len(names) + 0.12
             axes.plot([ranks[i], ranks[i], end], [0.0, below, below], color="0.45", linewidth=0.8)
-            said = f"{names[i]} ({ranks[i]:.2f})" + (
-                f", {failed[names[i]]} failed" if failed[names[i]] else ""
-            )
-            axes.text(end, below, f" {said} ", ha="right" if at_left else "left", va="center")
+            text = "\n".join(f" {line} " for line in said[i])
+            axes.text(end, below, text, ha="right" if at_left else "left", va="center")
         for row, (first, last) in enumerate(groups):
             ends = [ranks[order[first]] - 0.04, ranks[order[last]] + 0.04]
             axes.plot(ends, 2 * [0.35 * (row + 1)], color="black", linewidth=3.5, solid_capstyle="butt")
         axes.set_ylim(lowest + 0.6, -1.5)
-        axes.set_title(
-            f"average rank by the median of {source.metric} over {len(scores)} cases; Friedman's p = "
-            f"{written(friedman_p(ranked), 2)}",
-            fontsize="medium",
-        )
+        axes.set_title("\n".join(heading), fontsize="medium")
         return figure
 
 
