@@ -98,7 +98,8 @@ def _condition(value: float) -> str:
 
 def _write_figures(record: Record, look: FirstLook, out: Path) -> Exit:
     from hident.reports.first_look import figures
-    from hident.reports.style import style, typeset
+    from hident.reports.mathematics import typeset
+    from hident.reports.style import style
 
     code = Exit.FINE
     try:

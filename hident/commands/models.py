@@ -49,7 +49,8 @@ def draw_model(model: FittedModel, folder: Path) -> list[str]:
 
 def save_figure(path: Path, draw: Any) -> None:
     """Draw a figure in the house's style, whole or not at all."""
-    from hident.reports.style import style, typeset
+    from hident.reports.mathematics import typeset
+    from hident.reports.style import style
 
     with style(), replacing(path) as new, np.errstate(all="ignore"):
         try:

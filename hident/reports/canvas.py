@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from hident.reports.mathematics import typeset
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
 
@@ -174,6 +176,7 @@ class Canvas:
         axes = [one for cell in self.cells.values() for one in cell]
         if not any(isinstance(one.xaxis.get_major_locator(), FixedLocator) for one in axes):
             return
+        typeset(self.figure)
         self.figure.draw_without_rendering()
         for one in axes:
             if isinstance(one.xaxis.get_major_locator(), FixedLocator):

@@ -1,13 +1,19 @@
-"""Which dollars in a text are mathematics: the same for figures and for LaTeX."""
+"""Which dollars in a text are mathematics, the same for figures and for LaTeX; the texts of figures."""
 
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Callable
 from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # As pandoc has it: no blank inside of the dollars, no digit behind them, and \$ is a dollar.
 _BETWEEN_DOLLARS = re.compile(r"(?<!\\)\$(?!\s)((?:\\\$|[^$\n])+?)(?<![\s\\])\$(?!\d)")
+_POWER = re.compile(r"\b([A-Za-z])\^(-?\d+)")
 _COMMAND = re.compile(r"\\[A-Za-z]")
 
 
@@ -60,3 +66,59 @@ def _balanced(text: str) -> bool:
         if depth < 0:
             return False
     return depth == 0
+
+
+def typeset(figure: Figure) -> None:
+    """Set powers as in R^-1 as mathematics, in every text that holds none already, and dollars as such."""
+    from matplotlib.text import Text
+    from matplotlib.ticker import FuncFormatter
+
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        said = text.get_text()
+        shown = _with_dollars(said)
+        if shown.count("$") == shown.count("\\$") and _POWER.search(shown):
+            shown = _POWER.sub(r"$\1^{\2}$", shown)
+        if shown != said:
+            text.set_text(shown)
+    # The text of a tick is written anew with each drawing.
+    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
+        if isinstance(formatter := axis.get_major_formatter(), FuncFormatter):
+            formatter.func = _TickText(formatter.func)
+
+
+class _TickText:
+    """The text of a tick that ``text`` gives, its dollars as matplotlib wants them."""
+
+    def __init__(self, text: Callable[..., str]) -> None:
+        self._text = text
+
+    def __call__(self, *at: Any) -> str:
+        return _with_dollars(self._text(*at))
+
+
+def _with_dollars(text: str) -> str:
+    """A text for matplotlib, to which all pairs of dollars without a backslash are mathematics."""
+    if "$" not in text:
+        return text
+    return typeset_by(text, "${}$".format, _escaped_dollars)
+
+
+def _escaped_dollars(words: str) -> str:
+    return words.replace("$", "\\$")
+
+
+def wrapped(text: str, letters: int) -> list[str]:
+    """The lines of a text, of so many letters at most; mathematics is not broken.
+
+    Examples
+    --------
+    >>> wrapped("instrumental variables, order 2", 15)
+    ['instrumental', 'variables,', 'order 2']
+    >>> wrapped("slope $N^{-1} + 1$", 7)
+    ['slope', '$N^{-1} + 1$']
+    """
+    # No line breaks at a blank of this kind.
+    kept = typeset_by(text, lambda inside: f"${inside.replace(' ', chr(0xA0))}$", _escaped_dollars)
+    broken = textwrap.wrap(kept, max(letters, 1), break_long_words="$" not in text, break_on_hyphens=False)
+    return [line.replace("\xa0", " ") for line in broken] or [""]

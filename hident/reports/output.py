@@ -47,8 +47,9 @@ from hident.ledger.verdicts import LEVEL, RUNS, Verdict, Word, fitting_runs, fra
 from hident.new_files import replacing
 from hident.reports import latex
 from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, misfits
+from hident.reports.mathematics import typeset
 from hident.reports.scoring import scoring
-from hident.reports.style import printed, style, typeset
+from hident.reports.style import printed, style
 from hident.reports.tables.writing import failures, written
 from hident.run_folder import RunFolder, State, phase
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import io
-import re
 import sys
-import textwrap
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from hident.engine.run_files import Format
 from hident.reports import canvas
-from hident.reports.mathematics import typeset_by
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,7 +42,6 @@ _METADATA: dict[str, tuple[str, ...]] = {
     "svg": ("Creator", "Date"),
 }
 _MARKS = 9
-_POWER = re.compile(r"\b([A-Za-z])\^(-?\d+)")
 # Inches that a letter of a legend takes, and a handle with the space around it.
 _LETTER = 0.064
 _HANDLE = 0.55
@@ -106,62 +102,6 @@ def symbol(name: str) -> str:
     """A parameter's name for a figure: a_1 with its index below the line, any other as it is."""
     letter, underscore, index = name.partition("_")
     return f"${letter}_{{{index}}}$" if underscore else name
-
-
-def typeset(figure: Figure) -> None:
-    """Set powers as in R^-1 as mathematics, in every text that holds none already, and dollars as such."""
-    from matplotlib.text import Text
-    from matplotlib.ticker import FuncFormatter
-
-    for text in figure.findobj(Text):
-        assert isinstance(text, Text)
-        said = text.get_text()
-        shown = _with_dollars(said)
-        if shown.count("$") == shown.count("\\$") and _POWER.search(shown):
-            shown = _POWER.sub(r"$\1^{\2}$", shown)
-        if shown != said:
-            text.set_text(shown)
-    # The text of a tick is written anew with each drawing.
-    for axis in (axis for axes in figure.axes for axis in (axes.xaxis, axes.yaxis)):
-        if isinstance(formatter := axis.get_major_formatter(), FuncFormatter):
-            formatter.func = _TickText(formatter.func)
-
-
-class _TickText:
-    """The text of a tick that ``text`` gives, its dollars as matplotlib wants them."""
-
-    def __init__(self, text: Callable[..., str]) -> None:
-        self._text = text
-
-    def __call__(self, *at: Any) -> str:
-        return _with_dollars(self._text(*at))
-
-
-def _with_dollars(text: str) -> str:
-    """A text for matplotlib, to which all pairs of dollars without a backslash are mathematics."""
-    if "$" not in text:
-        return text
-    return typeset_by(text, "${}$".format, _escaped_dollars)
-
-
-def _escaped_dollars(words: str) -> str:
-    return words.replace("$", "\\$")
-
-
-def wrapped(text: str, letters: int) -> list[str]:
-    """The lines of a text, of so many letters at most; mathematics is not broken.
-
-    Examples
-    --------
-    >>> wrapped("instrumental variables, order 2", 15)
-    ['instrumental', 'variables,', 'order 2']
-    >>> wrapped("slope $N^{-1} + 1$", 7)
-    ['slope', '$N^{-1} + 1$']
-    """
-    # No line breaks at a blank of this kind.
-    kept = typeset_by(text, lambda inside: f"${inside.replace(' ', chr(0xA0))}$", _escaped_dollars)
-    broken = textwrap.wrap(kept, max(letters, 1), break_long_words="$" not in text, break_on_hyphens=False)
-    return [line.replace("\xa0", " ") for line in broken] or [""]
 
 
 def looks(labels: Iterable[str]) -> dict[str, Look]:

@@ -17,8 +17,9 @@ from hident.errors import ConfigError
 from hident.ledger.verdicts import judge
 from hident.metrics.base import MetricSpec
 from hident.reports.base import misfits
+from hident.reports.mathematics import typeset
 from hident.reports.output import check
-from hident.reports.style import style, typeset
+from hident.reports.style import style
 from tests.unit.plans import planned, refusals
 from tests.unit.results_maker import made
 

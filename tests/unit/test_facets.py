@@ -135,6 +135,13 @@ def test_rows_and_columns_keep_their_titles_where_their_outer_panels_are_left_ou
     assert beside == [["s = 0.5"], ["s = 1"], ["s = 2"]]
 
 
+def test_dollars_in_labels_of_panels_are_no_mathematics_where_they_do_not_pair(tmp_path):
+    fields = 'facets: {columns: law, names: {law: "$x_$"}}, at: {sigma: 1}, size: column'
+    figure = drawn(results_of(tmp_path, CURVE.format(fields=fields).replace("label: N", 'label: "$5 & $6"')))
+    assert figure.axes[0].get_title().startswith(r"\$x\_\$ =".replace("\\_", "_"))
+    assert r"\$5 & \$6" in {axes.get_xlabel() for axes in figure.axes}
+
+
 def test_labels_are_held(tmp_path):
     figure = drawn(results_of(tmp_path, CURVE.format(fields="at: {sigma: 2, law: other}")))
     [axes] = figure.axes

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from hident.ledger.verdicts import judge
-from hident.reports.style import style, subplots, typeset
+from hident.reports.mathematics import typeset
+from hident.reports.style import style, subplots
 from tests.unit.results_maker import PUBLISHED, made
 
 CURVE = """

@@ -6,8 +6,8 @@ import pytest
 
 from hident.errors import ConfigError, EstimationError
 from hident.reports.figures.curve import Curve
+from hident.reports.mathematics import typeset
 from hident.reports.output import Outputs, check, markdown
-from hident.reports.style import typeset
 from tests.unit.results_maker import made
 
 LABELLED = "  size:\n    small: {noise: {kind: white, std: 1}}\n    large: {noise: {kind: white, std: 2}}\n"

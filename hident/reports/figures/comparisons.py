@@ -18,6 +18,7 @@ from hident.ledger.verdicts import Verdict
 from hident.numerics.paired import critical_difference, friedman_p, groups_within, shared_ranks
 from hident.reports.base import FigureSpec, Misfit
 from hident.reports.canvas import canvas
+from hident.reports.mathematics import wrapped
 from hident.reports.style import (
     DATA,
     LINES,
@@ -26,7 +27,6 @@ from hident.reports.style import (
     few_log_ticks,
     legend_above,
     subplots,
-    wrapped,
 )
 from hident.reports.tables.comparison import Case, Comparison, Versus, series_of_units
 from hident.reports.tables.writing import written
