@@ -436,6 +436,28 @@ def test_paired_differences_show_trials_intervals_and_failures(tmp_path, of):
     assert axes.get_title() == ("one / two" if of == "of: log_ratio" else "one \N{MINUS SIGN} two")
 
 
+@pytest.mark.parametrize(("low", "high"), [(0.16, 1.3), (0.13, 7.5), (0.05, 1.3), (0.012, 1.3), (0.001, 1.3)])
+@pytest.mark.parametrize("columns", [1, 3])
+def test_ratios_have_two_numbers_at_least_in_each_panel_and_none_that_touch(tmp_path, low, high, columns):
+    rest = "figures:\n  f: {kind: paired_differences, table: t, x_label: X, size: column, columns: 2}\n"
+    rest = ALL + table("of: log_ratio").replace("mise", "all") + rest.replace("2}", f"{columns}}}")
+    values = {("one", n): np.geomspace(low, high, 9) for n in ("10", "100", "1000")}
+    results = made(tmp_path, values, rest=rest, estimators=THIRD)
+    spec: Any = results.plan.experiment.figures["f"]
+    with style():
+        figure = spec.drawn(results, [])
+        figure.draw_without_rendering()
+    for axes in [one for one in figure.axes if one.get_visible()][:2]:
+        start, end = axes.get_xlim()
+        boxes = [
+            label.get_window_extent()
+            for tick, label in zip(axes.get_xticks(), axes.get_xticklabels(), strict=True)
+            if start <= tick <= end
+        ]
+        assert len(boxes) > 1
+        assert all(left.x1 < right.x0 for left, right in itertools.pairwise(boxes))
+
+
 @pytest.mark.parametrize("of_table", ["", "facets: {rows: samples}"])
 @pytest.mark.parametrize("of_figure", ["", "facets: {rows: samples}", "at: {samples: 10}"])
 def test_a_figure_tells_apart_what_its_table_does_whatever_part_it_shows(tmp_path, of_table, of_figure):

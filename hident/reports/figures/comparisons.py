@@ -156,7 +156,7 @@ class PairedDifferences(_OfComparison):
                 )
         axes.set_xlim(left, right)
         if ratios:
-            _ratio_ticks(axes, right / left, width)
+            _ratio_ticks(axes, left, right, width)
         axes.grid(visible=False, axis="y")
 
 
@@ -251,13 +251,17 @@ def _failed(pairs: Mapping[tuple[str, str], Sequence[Versus]]) -> int:
     return max((len(_failures(one)) for one in failed), default=0)
 
 
-def _ratio_ticks(axes: Axes, span: float, width: float) -> None:
-    """Numbers at 1, 2 and 5 of each decade, or at decades alone where there are several or no room."""
+def _ratio_ticks(axes: Axes, left: float, right: float, width: float) -> None:
+    """Numbers at 1, 2 and 5 of each decade; where there is no room, or several decades, at fewer."""
     from matplotlib.ticker import LogLocator
 
     few_log_ticks(axes.xaxis)
-    if span > _SEVERAL_DECADES or 3.0 * np.log10(span) * _NUMBER > width > _NUMBER * np.log10(span) > 0.0:
+    span = right / left
+    if span > _SEVERAL_DECADES:
         axes.xaxis.set_major_locator(LogLocator(numticks=5 if span < _MANY_DECADES else 3))
+    elif 3.0 * np.log10(span) * _NUMBER > width:
+        decades = np.floor(np.log10(right)) - np.ceil(np.log10(left)) + 1
+        axes.xaxis.set_major_locator(LogLocator(subs=(1,) if decades > 1 else (1, 3)))
 
 
 @component("figure", "critical_differences", source="Demsar 2006, figure 1")
