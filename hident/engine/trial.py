@@ -26,7 +26,7 @@ from hident.errors import EstimationError, TrialFailed
 from hident.estimators.base import Batched, EstimatorSpec, is_batched
 from hident.metrics.base import MetricSpec
 from hident.records import Estimate, Part, Record, Truth
-from hident.signals.base import ExcitationSpec, NoiseSpec, Stretch
+from hident.signals.base import MOST_SAMPLES, ExcitationSpec, NoiseSpec, Stretch
 from hident.signals.streams import NumpyStreams, OfData, StreamsSpec
 from hident.systems.base import SystemSpec
 
@@ -66,7 +66,7 @@ def _start_can_be_chosen(excitation: ExcitationSpec, info: ValidationInfo) -> Ex
     return excitation
 
 
-Samples = Annotated[Count, Field(ge=1)]
+Samples = Annotated[Count, Field(ge=1, le=MOST_SAMPLES)]
 Step = Annotated[Real, Field(gt=0)]
 System = Annotated[SystemSpec, Of("system")]
 Excitation = Annotated[ExcitationSpec, Of("excitation"), AfterValidator(_start_can_be_chosen)]

@@ -17,7 +17,7 @@ from hident.metrics.base import MetricSpec, Scored
 from hident.model_output import has_stable_block
 from hident.numerics.rounding import is_constant
 from hident.records import Estimate, Record, needed
-from hident.signals.base import ExcitationSpec
+from hident.signals.base import MOST_SAMPLES, ExcitationSpec
 
 # The share of its state that a block keeps in a step below which its sampled parameters say nothing of it.
 _GONE = 1e-6
@@ -185,7 +185,7 @@ class ValidationPercentError(MetricSpec):
 
     excitation: Annotated[ExcitationSpec, Of("excitation")]
     """The input; a random one is drawn from a stream of its own, the same in every trial."""
-    samples: Annotated[Count, Field(ge=2)]
+    samples: Annotated[Count, Field(ge=2, le=MOST_SAMPLES)]
     """Its length."""
 
     def needs_of_truth(self) -> frozenset[str]:

@@ -10,6 +10,9 @@ from hident.arrays import Array
 from hident.config.spec import Component
 from hident.records import Held, Periodic, Waveform
 
+MOST_SAMPLES = 100_000_000
+"""Of a record: a signal of more takes gigabytes, and what asks for it was mistyped."""
+
 
 @dataclass(frozen=True)
 class Stretch:

@@ -13,7 +13,7 @@ from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, Spec, component
 from hident.config.suggest import one_of
 from hident.numerics.whole import nearest_whole
-from hident.signals.base import ExcitationSpec, Stretch
+from hident.signals.base import MOST_SAMPLES, ExcitationSpec, Stretch
 from hident.signals.excitation import Positive, Sine
 
 AtLeastOne = Annotated[Count, Field(ge=1)]
@@ -129,7 +129,7 @@ class ExperimentPart(Spec):
     """Name of the experiment, by which estimators ask for it."""
     excitation: Annotated[ExcitationSpec, Of("excitation")]
     """The input signal; time 0 is the start of this experiment."""
-    samples: AtLeastOne | None = None
+    samples: Annotated[Count, Field(ge=1, le=MOST_SAMPLES)] | None = None
     """Length in samples (or give periods)."""
     dt: Positive | None = None
     """Its own sampling interval (default: that of the record)."""

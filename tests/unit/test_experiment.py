@@ -247,11 +247,16 @@ class TestOptions:
 
     def test_messages_name_the_option(self, refused):
         assert refused(BASE, "samples=x", "estimators.k.kernel=gausian", trials=0, seed=-1) == [
-            "--set samples=x: samples: must be a whole number >= 1 (got 'x')",
+            "--set samples=x: samples: must be a whole number >= 1, <= 100000000 (got 'x')",
             "--seed -1: seed: must be greater than or equal to 0 (got -1)",
             "--trials 0: trials: must be greater than or equal to 1 (got 0)",
             "--set estimators.k.kernel=gausian: estimators.k.kernel: must be 'window_half', 'window_unit', "
             "'triangular', 'epanechnikov' or 'gaussian'; did you mean 'gaussian'? (got 'gausian')",
+        ]
+
+    def test_a_record_that_no_memory_holds_is_refused(self, refused):
+        assert refused(BASE, "samples=1e18") == [
+            "--set samples=1e18: samples: must be a whole number >= 1, <= 100000000 (got 1e+18)"
         ]
 
     @pytest.mark.parametrize(
@@ -322,7 +327,7 @@ class TestMessages:
             "a.yaml:9: noise.sdt: unknown key; did you mean 'std'? "
             "(allowed: distribution, std, variance, nsr, half_width)",
             "a.yaml:11: estimators.k.bandwidth.h0: must be greater than 0 (got -1)",
-            "a.yaml:17: samples: must be a whole number >= 1 (got 'x')",
+            "a.yaml:17: samples: must be a whole number >= 1, <= 100000000 (got 'x')",
             "a.yaml:18: estimators.iv.order: must be greater than or equal to 1 (got 0)",
             f"a.yaml:19: cases.seed: a case cannot change 'seed' ({CHANGEABLE}), and nothing uses '$seed'",
         ]
@@ -354,7 +359,7 @@ class TestMessages:
             "      estimators.k.bandwidth.alpha: 2\n"
         )
         assert refused(text) == [
-            "a.yaml:20: samples: must be a whole number >= 1 (got 2.5)",
+            "a.yaml:20: samples: must be a whole number >= 1, <= 100000000 (got 2.5)",
             "a.yaml:27: estimators.k.bandwidth.alpha: must be less than 1 (got 2)",
         ]
 
