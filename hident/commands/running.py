@@ -20,7 +20,6 @@ from hident.engine.run_files import PAGE, POWER
 from hident.engine.runner import CrashReport, run
 from hident.engine.store import Store, TrialStore
 from hident.errors import ConfigError, Exit, NothingToCompare
-from hident.numerics.influence import hangs_on_one, largest_share
 from hident.progress import chosen, reminder
 from hident.run_folder import RunFolder, phase
 
@@ -103,7 +102,7 @@ class Bench:
 
     def _written(self, plan: Plan, *, keep_going: bool) -> tuple[str, ...]:
         """Run a plan, if its outputs are not there; a message for each figure that cannot be drawn."""
-        from hident.reports.output import Outputs
+        from hident.reports.output import Outputs, hanging_means
 
         outputs = Outputs(plan, self.out / plan.name)
         note = f"{plan.name}: {outputs.folder} is up to date"
@@ -126,7 +125,7 @@ class Bench:
                         results = self._trials(plan, writer, plan.name, keep_going=keep_going)
                     undrawn = outputs.write(results, self._workers_used(), seconds)
                     note = f"{plan.name}: wrote {outputs.folder}"
-                    if (hanging := _hanging(results)) and not self.quiet:
+                    if (hanging := hanging_means(results)) and not self.quiet:
                         print(f"{plan.name}: {hanging}", file=sys.stderr)
         tell("outputs", note, config=plan.name)
         if not self.quiet:
@@ -169,20 +168,6 @@ class Bench:
                 file=sys.stderr,
             )
         return results
-
-
-def _hanging(results: Results) -> str:
-    """What to say of means that hang on a single trial each; nothing if none does."""
-    found = [one for one in results.series if hangs_on_one(one.values)]
-    if not found:
-        return ""
-    first = found[0]
-    share = 100.0 * largest_share(first.values)
-    return (
-        f"{len(found)} of {len(results.series)} means hang on a single trial each (the first: {first.metric} "
-        f"of {first.unit.described()}, where it is {share:.0f} % of the sum of squares); table.csv has the "
-        "medians"
-    )
 
 
 @contextmanager

@@ -45,6 +45,7 @@ from hident.ledger.published import PUBLISHED, REASONS
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import LEVEL, RUNS, Verdict, Word, fitting_runs, frame, judge
 from hident.new_files import replacing
+from hident.numerics.influence import hangs_on_one, largest_share
 from hident.reports import latex
 from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, misfits
 from hident.reports.mathematics import typeset
@@ -223,6 +224,8 @@ def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str,
     parts += [table.markdown() for table in tables.values()]
     if not tables:
         parts.append(_plain_table(results).markdown())
+    if hanging := hanging_means(results):
+        parts.append(f"{hanging}.")
     if verdicts:
         words = [verdict.word for verdict in verdicts]
         counts = ", ".join(f"{words.count(word)} {word}" for word in get_args(Word) if word in words)
@@ -230,6 +233,20 @@ def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str,
         parts += _differences(verdicts)
         parts += _runs(verdicts, results)
     return "\n\n".join(parts) + "\n"
+
+
+def hanging_means(results: Results) -> str:
+    """What to say of means that hang on a single trial each; nothing if none does."""
+    found = [one for one in results.series if hangs_on_one(one.values)]
+    if not found:
+        return ""
+    first = found[0]
+    share = 100.0 * largest_share(first.values)
+    return (
+        f"{len(found)} of {len(results.series)} means hang on a single trial each (the first: {first.metric} "
+        f"of {first.unit.described()}, where it is {share:.0f} % of the sum of squares); table.csv has the "
+        "medians"
+    )
 
 
 def _records(plan: Plan) -> list[str]:

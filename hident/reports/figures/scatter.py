@@ -54,10 +54,16 @@ class Coordinate(Spec):
         return next(results.select(self.estimator, self.metric, self.at))
 
     def truth(self, results: Results) -> float | None:
-        """The true number behind it; None if the metric gives no value of the system."""
+        """The true number behind it; None if the metric gives no value of the system.
+
+        Nor is there one where the method fixes the factor between the blocks in another way than the system:
+        a slope at zero is not that of a first segment.
+        """
         unit = self.series(results).unit
         of = {label: value for name, metric in unit.metrics.items() for label, value in _values(name, metric)}
-        return unit.truth().values.get(of.get(self.metric, ""))
+        value = of.get(self.metric, "")
+        true = unit.truth().values.get(value)
+        return true if true == unit.data.system.truth().values.get(value) else None
 
 
 class ScatterPanel(Spec):
@@ -75,8 +81,8 @@ class ScatterPanel(Spec):
 class Scatter(FigureSpec):
     """One metric against another, a point for each trial, with the true pair and the printed one.
 
-    Lines stand at true numbers where the metrics give values of the system. The title gives Spearman's
-    coefficient of rank correlation.
+    Lines stand at true numbers where the metrics give values of the system that no factor between the blocks
+    moves. The title gives Spearman's coefficient of rank correlation.
     """
 
     panels: NonEmpty[ScatterPanel]
