@@ -66,16 +66,17 @@ def print_verification(
     if complete:
         plugins.load()
     found = verify(folder, experiments, results, configs if complete else None)
-    lists = {
+    always = {
         "differs without a reason": found.unexplained,
         "reasons that cover no difference": found.idle,
         "not up to date": found.stale,
+    }
+    of_all = {
         "printed, but not judged here": found.unjudged,
         "reasons of configurations that are not here": found.astray,
     }
-    owed = [title for title, lines in lists.items() if lines]
-    if not complete:
-        owed = [title for title in owed if not title.endswith("here")]
+    lists = always | of_all
+    owed = [title for title, lines in (lists if complete else always).items() if lines]
     code = Exit.DIFFERS if owed else Exit.FINE
     if as_json:
         print(json.dumps({"tables": [table.plain() for table in found.tables], **lists}, indent=2))

@@ -117,6 +117,8 @@ def _restricted(document: Document, name: str, at: Any) -> Document:
     place = ("alternatives", name, AT)
     if not isinstance(at, Mapping):
         raise document.error([Problem(place, "must name labels of axes, as 'at' of a table's row does", at)])
+    if not at:
+        return document
     cases = dict(document.data.get("cases") or {})
     known = {axis.name: list(map(str, axis.labels)) for axis in sound_axes(document, [])}
     skip, problems = list(document.data.get("skip") or ()), []
@@ -139,7 +141,7 @@ def _restricted(document: Document, name: str, at: Any) -> Document:
             cases[axis] = [entries[i] for i in order]
     if problems:
         raise document.error(problems)
-    return replace(document, data={**document.data, "cases": cases, "skip": skip}) if at else document
+    return replace(document, data={**document.data, "cases": cases, "skip": skip})
 
 
 def _patched(document: Document, name: str, changes: Mapping[str, Any]) -> Document:

@@ -15,6 +15,7 @@ import numpy as np
 from hident.arrays import Array
 from hident.engine.experiment import Label, Plan, Statistic, Unit
 from hident.engine.timing import Timing, timing_frame
+from hident.numerics.influence import hangs_on_one
 from hident.numerics.rounding import is_constant
 
 if TYPE_CHECKING:
@@ -149,8 +150,8 @@ class Results:
     ``series`` holds one :class:`Series` for each label of a metric of each unit, ``plan`` what was run,
     ``timed_out`` how many trials of units count as failed because they took longer than the trial timeout,
     ``timings`` how long the fits of each unit took, ``part_of`` the results of which :meth:`at` took a part.
-    :meth:`frame` gives the statistics, :meth:`trials_frame`
-    every trial's value, :meth:`timing_frame` the seconds.
+    :meth:`frame` gives the statistics, :meth:`trials_frame` every trial's value, :meth:`timing_frame` the
+    seconds.
     """
 
     plan: Plan
@@ -163,6 +164,11 @@ class Results:
     def whole(self) -> Results:
         """The results of all cases of the experiment, of which these may be a part."""
         return self.part_of or self
+
+    @cached_property
+    def hanging(self) -> tuple[Series, ...]:
+        """The series whose mean hangs on a single trial."""
+        return tuple(one for one in self.series if hangs_on_one(one.values))
 
     def select(
         self,

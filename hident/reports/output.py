@@ -45,7 +45,7 @@ from hident.ledger.published import PUBLISHED, REASONS
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import LEVEL, RUNS, Verdict, Word, fitting_runs, frame, judge
 from hident.new_files import replacing
-from hident.numerics.influence import hangs_on_one, largest_share
+from hident.numerics.influence import largest_share
 from hident.reports import latex
 from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, misfits
 from hident.reports.mathematics import typeset
@@ -237,8 +237,7 @@ def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str,
 
 def hanging_means(results: Results) -> str:
     """What to say of means that hang on a single trial each; nothing if none does."""
-    found = [one for one in results.series if hangs_on_one(one.values)]
-    if not found:
+    if not (found := results.hanging):
         return ""
     first = found[0]
     share = 100.0 * largest_share(first.values)

@@ -193,7 +193,10 @@ class Comparison(TableSpec):
 
     def compared(self, results: Results) -> list[Versus]:
         """All pairs in all cases; of results that are a part, with the p-values of the whole table."""
-        adjusted = {one.units: one.adjusted for part in self._blocks(results.whole).values() for one in part}
+        whole = [one for block in self._blocks(results.whole).values() for one in block]
+        if results.part_of is None and self.facets is None:
+            return whole
+        adjusted = {one.units: one.adjusted for one in whole}
         return [replace(one, adjusted=adjusted[one.units]) for one in self._tested(results)]
 
     def _blocks(self, results: Results) -> dict[tuple[int, int], list[Versus]]:
