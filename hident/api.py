@@ -407,8 +407,8 @@ def _ran(
     with ExitStack() as stack, _as_in_a_run():
         if isinstance(store, str | Path):
             store = stack.enter_context(Store(Path(store)).writing())
-            if store.mended:
-                warnings.warn(store.mended, stacklevel=3)
+            if said := runner.mended(plan, store):
+                warnings.warn(said, stacklevel=3)
         elif not isinstance(store, TrialStore | None) or isinstance(store, type):
             raise ConfigError(
                 f"store: must be a folder, or an object with the methods trials and add, not {store!r}"

@@ -17,8 +17,8 @@ from hident.engine.experiment import Plan
 from hident.engine.log import tell, warn
 from hident.engine.preflight import check_records
 from hident.engine.run_files import PAGE, POWER
-from hident.engine.runner import CrashReport, run
-from hident.engine.store import Store, TrialStore
+from hident.engine.runner import CrashReport, mended, run
+from hident.engine.store import Store, TrialStore, Writer
 from hident.errors import ConfigError, Exit, NothingToCompare
 from hident.progress import chosen, reminder
 from hident.run_folder import RunFolder, phase
@@ -71,7 +71,7 @@ class Bench:
         # What is wrong with any is said before the first is run.
         every = [alternative_plans(plan, number) for plan, number in zip(self.plans, numbers, strict=True)]
         for plan, number, alternatives in zip(self.plans, numbers, every, strict=True):
-            with Store(self.store).writing(self.wait) as writer:
+            with self._writing(plan) as writer:
                 power = measured(plan, alternatives, partial(self._alternative, plan, writer))
             folder = self.out / POWER / plan.name
             write_power(plan, power, number, folder, self._workers_used())
@@ -108,12 +108,9 @@ class Bench:
         note = f"{plan.name}: {outputs.folder} is up to date"
         undrawn: tuple[str, ...] = ()
         if outputs.state() != "up to date":
-            with Store(self.store).writing(self.wait) as writer:
+            with self._writing(plan) as writer:
                 # Asked again, as another run may have held the store until now.
                 if outputs.state() != "up to date":
-                    if writer.mended:
-                        warn("store mended", writer.mended)
-                        print(f"warning: {writer.mended}", file=sys.stderr)
                     seconds: dict[str, float] = {}
                     said = (
                         f"{plan.name}: still at the records of trial 0, which are simulated first; every "
@@ -132,6 +129,15 @@ class Bench:
             print(note, file=sys.stderr)
         return undrawn
 
+    @contextmanager
+    def _writing(self, plan: Plan) -> Iterator[Writer]:
+        """Hold the store for the runs of a plan; what was saved of a damaged one is told."""
+        with Store(self.store).writing(self.wait) as writer:
+            if said := mended(plan, writer):
+                warn("store mended", said)
+                print(f"warning: {said}", file=sys.stderr)
+            yield writer
+
     def _workers_used(self) -> dict[str, Any]:
         """How many there were, and which of them had another arithmetic than the one that run.json names."""
         others = {"other_arithmetics": self.workers.others} if self.workers.others else {}
@@ -143,7 +149,7 @@ class Bench:
         from hident.ledger.trial_values import TrialValues
 
         def repeated(k: int) -> TrialValues:
-            with Store(self.store).writing(self.wait) as writer:
+            with self._writing(plan) as writer:
                 name = f"{plan.name}, perturbation {k} of {perturbations}"
                 # With a rule, as many as the run came to.
                 perturbed = plan.changed(perturbation=k, trials=values.trials)

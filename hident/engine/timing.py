@@ -49,19 +49,23 @@ def seconds(store: Stored, key: str, trials: int) -> Array:
 
 def timings(plan: Plan, store: Stored) -> tuple[Timing, ...]:
     """How long the fits of each unit took, as far as a store knows."""
-    found = []
-    for key in plan.timing_keys:
-        every = seconds(store, key, plan.trials)
-        found.append(every[np.isfinite(every)])
-    quartiles = [np.quantile(one, [0.25, 0.5, 0.75]) if len(one) else np.full(3, np.nan) for one in found]
+    # Of very many trials, the seconds of one unit at a time are in memory.
+    found = [_quartiles(seconds(store, key, plan.trials)) for key in plan.timing_keys]
     fastest: dict[int, float] = {}
-    for unit, (_, median, _) in zip(plan.units, quartiles, strict=True):
+    for unit, (_, (_, median, _)) in zip(plan.units, found, strict=True):
         if np.isfinite(median):
             fastest[unit.data.key] = min(median, fastest.get(unit.data.key, np.inf))
     return tuple(
-        Timing(unit, len(one), float(median), float(q25), float(q75), _ratio(median, fastest, unit))
-        for unit, one, (q25, median, q75) in zip(plan.units, found, quartiles, strict=True)
+        Timing(unit, fits, median, q25, q75, _ratio(median, fastest, unit))
+        for unit, (fits, (q25, median, q75)) in zip(plan.units, found, strict=True)
     )
+
+
+def _quartiles(every: Array) -> tuple[int, list[float]]:
+    """How many fits there are, and the quartiles of their seconds."""
+    fits = every[np.isfinite(every)]
+    of = np.quantile(fits, [0.25, 0.5, 0.75]) if len(fits) else np.full(3, np.nan)
+    return len(fits), of.tolist()
 
 
 def _ratio(median: float, fastest: dict[int, float], unit: Unit) -> float:

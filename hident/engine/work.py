@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import importlib
 import os
@@ -141,6 +142,9 @@ def _met(terms: Terms) -> str:
             f"differ within one result: '{own}' there, '{terms.arithmetic}' here. Import hident before "
             "numpy, or run with --jobs 1"
         )
+    # What is loaded stays: the garbage collector need not look through it again and again beside the trials.
+    gc.collect()
+    gc.freeze()
     return own
 
 

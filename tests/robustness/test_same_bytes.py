@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from hident import plugins
-from hident.engine.executors import make_executor
+from hident.engine.executors import PoolExecutor, Workers, named_executor
 from hident.engine.experiment import Plan, load
 from hident.engine.results import Results
 from hident.engine.runner import run
@@ -57,15 +57,25 @@ def files(alone: Results, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
     return _files(alone, tmp_path_factory.mktemp("alone"))
 
 
-@pytest.fixture(scope="module", params=[2, 4])
-def pool(request: pytest.FixtureRequest) -> Iterator[tuple[Executor, int]]:
-    with make_executor(request.param) as executor:
-        yield executor, request.param
+def _dask() -> Workers:
+    pytest.importorskip("distributed")
+    return named_executor("dask", None, 2, (), map(_plan, SOME))
 
 
-def test_by_processes(name: str, files: dict[str, bytes], pool: tuple[Executor, int], tmp_path: Path) -> None:
-    executor, workers = pool
-    assert _files(run(_plan(name), executor=executor, workers=workers), tmp_path) == files
+WORKERS: dict[str, Callable[[], Workers]] = {
+    **{f"{count} processes": partial(PoolExecutor, count, ()) for count in (1, 2, 4)},
+    "2 Dask workers": _dask,
+}
+
+
+@pytest.fixture(scope="module", params=WORKERS)
+def workers(request: pytest.FixtureRequest) -> Iterator[Workers]:
+    with WORKERS[request.param]() as executor:
+        yield executor
+
+
+def test_by_workers(name: str, files: dict[str, bytes], workers: Workers, tmp_path: Path) -> None:
+    assert _files(run(_plan(name), executor=workers), tmp_path) == files
 
 
 @pytest.mark.parametrize("size", [1, TRIALS])
@@ -111,7 +121,9 @@ def _reversed(written: Mapping[str, Any] | Sequence[Any]) -> Any:
     return dict(reversed([*written.items()])) if isinstance(written, Mapping) else [*reversed(written)]
 
 
-def test_in_any_order_of_cases_and_estimators(name: str, alone: Results) -> None:
+def test_in_any_order_of_cases_and_estimators(
+    name: str, alone: Results, files: dict[str, bytes], tmp_path: Path
+) -> None:
     plan = _plan(name)
     data = dict(plan.document.data)
     data["estimators"] = _reversed(data["estimators"])
@@ -122,3 +134,7 @@ def test_in_any_order_of_cases_and_estimators(name: str, alone: Results) -> None
     assert all(one[key].tobytes() == two[key].tobytes() for key in one)
     keys = [{*itertools.chain(*(keys.values() for keys in of.plan.keys))} for of in (alone, other)]
     assert keys[0] == keys[1]
+    # The rows stand in the order of the file.
+    table, of_other = (one["table.csv"].splitlines() for one in (files, _files(other, tmp_path)))
+    assert table[0] == of_other[0]
+    assert sorted(table) == sorted(of_other)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
 import shutil
 import signal
@@ -59,7 +60,8 @@ def test_not_a_store(lab: Lab) -> None:
     said = lab.run()
     assert (
         "warning: the trials store .hident/trials.sqlite was damaged (file is not a database): 0 scores are "
-        "saved, and the damaged file is kept as .hident/trials.sqlite.damaged-1\n"
+        "saved, and the damaged file is kept as .hident/trials.sqlite.damaged-1; 0 of the 24 trials of tiny "
+        "are saved\n"
     ) in said
     assert (lab.folder / ".hident/trials.sqlite.damaged-1").read_bytes() == b"garbage " * 1000
     assert "is up to date" in lab.run()
@@ -70,17 +72,34 @@ def test_a_damaged_file_is_mended_by_the_run_and_what_is_lost_is_computed_again(
     filled: Lab, damage: str
 ) -> None:
     before, content = filled.trials(), filled.store.read_bytes()
+    places = [found.start() for found in re.finditer(rb"\x93hident", content)]
+    some = places[len(places) // 2] + 50
     if damage == "page":
-        _damage(filled.store, b"\xff" * 64, 4 * 65536)
+        start = some // 65536 * 65536
+        _damage(filled.store, bytes(some - start), start)
     elif damage == "key":
         key = next(block.key for block in blocks_in(filled.store)).encode()
         _damage(filled.store, bytes([key[0] ^ 1]), content.index(key))
     else:
-        filled.store.write_bytes(content[: 4 * 65536 + 100])
+        filled.store.write_bytes(content[:some])
     said = filled.run()
     assert "warning: the trials store .hident/trials.sqlite was damaged (" in said
+    [saved] = re.findall(r"; (\d+) of the 600 trials of tiny are saved\n", said)
+    # The key's first place is in the index, from which nothing is saved.
+    assert (0 < int(saved) < 600) == (damage != "key")
+    assert f"600 trials, {saved} of them stored\n" in said or "all 600 trials are stored\n" in said
     assert filled.trials() == before
     assert "is up to date" in filled.run()
+
+
+def test_accept_tells_of_a_damaged_store_too(lab: Lab) -> None:
+    lab.run("-q")
+    lab.store.write_bytes(b"garbage " * 1000)
+    said = lab.hident("accept", "tiny", "-q", "-j1").stderr
+    assert (
+        "warning: the trials store .hident/trials.sqlite was damaged (file is not a database): 0 sc" in said
+    )
+    assert "; 0 of the 24 trials of tiny are saved\n" in said
 
 
 def test_flipped_bits_in_values_cost_their_blocks(filled: Lab) -> None:

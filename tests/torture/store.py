@@ -44,12 +44,20 @@ def _summary(again: list[int], units: int) -> str:
 def _mend(victim: Victim, again: list[int], way: str) -> None:
     made = victim.check_ending(damaged=True)
     again.append(made)
+    _check_told(victim, made)
     # One bad page must not cost everything; what a truncation or a foreign file left out is gone.
     if made == victim.units and "truncated" not in way and "foreign" not in way:
         raise Lost("all trials were computed again")
     # Nothing of the damage is left for the run after.
     victim.fits()
     assert "is up to date" in victim.run()
+
+
+def _check_told(victim: Victim, made: int) -> None:
+    """Where a damaged file is kept, the run says how many trials it saved: all others were computed."""
+    kept = any(".damaged-" in path.name for path in victim.store.parent.iterdir())
+    told = re.findall(rf"; (\d+) of the {victim.units} trials of tiny are saved\n", victim.said)
+    assert [int(saved) for saved in told] == [victim.units - made] * kept, victim.said
 
 
 def _flip(path: Path, rng: random.Random) -> None:
@@ -133,5 +141,5 @@ def _log(tally: Tally, rng: random.Random, count: int) -> None:
 
 
 def _mend_log(victim: Victim) -> None:
-    victim.check_ending(damaged=True)
-    assert re.search("is up to date", victim.run())
+    _check_told(victim, victim.check_ending(damaged=True))
+    assert "is up to date" in victim.run()

@@ -74,6 +74,8 @@ class Victim(Lab):
     truth: dict[str, bytes]
     fresh_workers = True
     """Whether the process that forks the workers of a run is started anew."""
+    said = ""
+    """What the run of the last :meth:`check_ending` said."""
 
     def __init__(self, folder: Path, trials: int, body: str = "") -> None:
         super().__init__(folder.resolve())
@@ -142,7 +144,7 @@ class Victim(Lab):
     def check_ending(self, *arguments: str, damaged: bool = False) -> int:
         """One more run ends with the undisturbed outputs and leaves nothing else; returns its fits."""
         before = self.fits()
-        self.run("-q", *arguments)
+        self.said = self.run("-q", *arguments)
         assert self.outputs() == self.truth, "other outputs than those of an undisturbed run"
         self.check_left(damaged=damaged)
         made = self.fits()

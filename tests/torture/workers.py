@@ -53,6 +53,9 @@ MISDEEDS = {
         "    if threading.current_thread() is threading.main_thread(): signal.signal(15, signal.SIG_IGN)",
         _HARMLESS,
     ),
+    "sets the clock back": Misdeed(
+        "at = time.time() - 86400; time.time = lambda: at - time.monotonic()", _HARMLESS
+    ),
     "changes the environment": Misdeed("os.environ.clear()", _HARMLESS),
 }
 

@@ -296,6 +296,20 @@ def test_trials_that_are_not_stored_are_read_beside_those_that_are(lab: Lab, hel
     assert sorted(series.reasons) == [("singular", 1), ("took longer", 1)]
 
 
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_the_garbage_collector_passes_over_what_was_loaded_before(lab: Lab, jobs: str) -> None:
+    lab.probe("import gc\nvalue = float(gc.get_freeze_count())")
+    lab.run("-q", "--jobs", jobs)
+    frozen = [np.frombuffer(value)[0] for (unit, *_), value in lab.trials().items() if unit == "probe"]
+    assert len(frozen) == 12
+    assert min(frozen) > 10_000
+
+
+def test_after_a_run_the_garbage_collector_looks_at_all_again(lab: Lab) -> None:
+    run(_plan(lab))
+    assert gc.get_freeze_count() == 0
+
+
 def test_of_very_many_trials_nothing_is_held(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     class Watching(Told):
         def ends(self, work: str) -> None:

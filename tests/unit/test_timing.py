@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import sqlite3
 import time
+import tracemalloc
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +17,9 @@ from hident import plugins
 from hident.engine.executors import make_executor
 from hident.engine.experiment import load
 from hident.engine.runner import run
-from hident.engine.scores import SECONDS
+from hident.engine.scores import SECONDS, Scores
 from hident.engine.store import MemoryStore, Store
+from hident.engine.timing import timings
 from hident.engine.trial import Job, run_trials
 from hident.estimators.base import is_batched
 
@@ -137,6 +139,20 @@ def test_a_mended_store_keeps_them(lab: Lab) -> None:
     with Store(lab.folder / "s").writing() as writer:
         assert "24 scores are saved" in writer.mended
         assert _of(run(plan, store=writer)) == before
+
+
+def test_of_many_units_the_seconds_of_one_are_in_memory(lab: Lab) -> None:
+    class Timed(MemoryStore):
+        def trials(self, key: str, below: int) -> list[Scores]:
+            return [Scores(np.arange(below), np.ones((below, 1)))]
+
+    plan = _plan(lab, trials=10_000, cases={"samples": [*range(50, 60)]})
+    tracemalloc.start()
+    assert [one.fits for one in timings(plan, Timed())] == [10_000] * 20
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # Its numbers, values, what is found of them and sorted copies; all units have 20 such.
+    assert peak < 8 * 8 * 10_000
 
 
 def test_timing_csv_is_of_the_run_and_nothing_compares_it(lab: Lab) -> None:
