@@ -24,13 +24,13 @@ from hident.engine.scores import Scores
 from hident.engine.store import MemoryStore, Reader, Store, TrialStore, Writer
 from hident.engine.timing import timings
 from hident.engine.trial import Outcome
-from hident.engine.unit_trials import UnitTrials
+from hident.engine.unit_trials import Recent, UnitTrials
 from hident.engine.work import Done, Terms, compute
 from hident.errors import TrialsCrashed
 
 _POLL_SECONDS = 0.1
-_HELD = 4_000_000
-"""How many numbers of a run are held in memory; of more, a series at a time is read when it is asked for."""
+_HELD = 8_000_000
+"""How many numbers of a run are held in memory; of more, those that were asked for last."""
 # So long an executor that is broken may take to say what becomes of each call.
 _SECONDS_TO_BREAK = 60
 # So often in a row workers may be lost while they have nothing to do.
@@ -154,8 +154,9 @@ class _Run:
         self._plan, self._store, self._kept = plan, store, kept
         self._workers, self._keep_going, self._progress = workers, keep_going, progress
         numbers = plan.trials * sum(len(unit.metric_labels) for unit in plan.units)
+        recent = Recent(_HELD) if numbers > _HELD else None
         self._units = [
-            UnitTrials(*of, plan.trials, store, held=numbers <= _HELD)
+            UnitTrials(*of, plan.trials, store, recent)
             for of in zip(plan.units, plan.keys, plan.timing_keys, strict=True)
         ]
         self._before = before

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -18,18 +18,39 @@ from hident.engine.trial import OF_METRIC
 from hident.errors import StoreError
 
 
+class Recent:
+    """What was read last, up to ``most`` numbers: tables and verdicts ask for a series several times."""
+
+    def __init__(self, most: int) -> None:
+        self.most = most
+        self._arrays: dict[Hashable, Array] = {}
+
+    def array(self, name: Hashable, read: Callable[[], Array]) -> Array:
+        """The array of this name, which is read if it is not there."""
+        found = self._arrays.pop(name, None)
+        if found is None:
+            found = read()
+        if found.size <= self.most:
+            self._arrays[name] = found
+        while sum(array.size for array in self._arrays.values()) > self.most:
+            del self._arrays[next(iter(self._arrays))]
+        return found
+
+
 class _Gathered:
     """All trials of one metric: held in memory, or read from the store again when they are asked for."""
 
-    def __init__(self, labels: Sequence[str], key: str, trials: int, store: Stored, *, held: bool) -> None:
-        self.labels = labels
+    def __init__(
+        self, labels: Sequence[str], key: str, trials: int, store: Stored, recent: Recent | None
+    ) -> None:
+        self.labels, self._recent = labels, recent
         self.there = np.zeros(trials, dtype=bool)
         self._key, self._store = key, store
         self.not_stored: list[Scores] = []
         self._failures: dict[int, str] = {}
         self._held = (
             Scores(np.arange(trials), np.full((len(labels), trials), np.nan).T, self._failures)
-            if held
+            if recent is None
             else None
         )
 
@@ -50,8 +71,9 @@ class _Gathered:
 
     def series(self, unit: Unit) -> Iterator[Series]:
         for i, label in enumerate(self.labels):
-            values = self._column(i) if self._held else partial(self._column, i)
-            yield Series(unit, label, values, grouped(self._reasons(i)))
+            column = self._column(i)
+            reasons = () if np.isfinite(column).all() else grouped(self._reasons(i))
+            yield Series(unit, label, column if self._held else partial(self._column, i), reasons)
 
     def _parts(self) -> Iterator[Scores]:
         """All trials, each once."""
@@ -70,9 +92,20 @@ class _Gathered:
     def _column(self, i: int) -> Array:
         if self._held is not None:
             return self._held.values[:, i]
-        values = np.empty(len(self.there))
+        assert self._recent is not None
+        # All labels stand in one block: what one costs to read, all cost.
+        if len(self.there) * len(self.labels) <= self._recent.most:
+            values = self._recent.array(self._key, partial(self._read, slice(None)))[i]
+        else:
+            [values] = self._recent.array((self._key, i), partial(self._read, slice(i, i + 1)))
+        found: Array = values
+        return found
+
+    def _read(self, labels: slice) -> Array:
+        """The values of some labels (L, N)."""
+        values = np.empty((len(self.labels[labels]), len(self.there)))
         for part in self._parts():
-            values[part.trials] = part.values[:, i]
+            values[:, part.trials] = part.values[:, labels].T
         return values
 
     def _reasons(self, i: int) -> Iterator[str]:
@@ -95,7 +128,7 @@ class _Gathered:
 
 
 class UnitTrials:
-    """One unit with the scores of its metrics, by their names; held in memory or not."""
+    """One unit with the scores of its metrics, by their names; held in memory, or ``recent`` ones alone."""
 
     def __init__(
         self,
@@ -104,12 +137,11 @@ class UnitTrials:
         timing_key: str,
         trials: int,
         store: Stored,
-        *,
-        held: bool = True,
+        recent: Recent | None = None,
     ) -> None:
         self.unit, self.keys, self.timing_key = unit, keys, timing_key
         self._gathered = {
-            name: _Gathered(metric.labels(name), keys[name], trials, store, held=held)
+            name: _Gathered(metric.labels(name), keys[name], trials, store, recent)
             for name, metric in unit.metrics.items()
         }
 

@@ -24,10 +24,10 @@ pytestmark = [
 ]
 
 _TASKS = 2
-# As the real one, it passes a signal on to its tasks, and its options come first.
+# Its options come first; told to end, the real one ends its tasks too, those that linger by SIGKILL.
 _SRUN = f"""#!/bin/bash
 while [[ $1 == --* ]]; do shift; done
-trap 'kill $(jobs -p); wait' TERM
+trap 'kill -KILL $(jobs -p); wait' TERM
 for task in $(seq {_TASKS}); do "$@" & done
 wait
 """
@@ -84,7 +84,7 @@ def test_a_job_gives_what_one_process_gives_and_ends(job: Lab) -> None:
 
 
 def test_what_is_wrong_with_a_configuration_is_the_jobs_exit_code(job: Lab) -> None:
-    (job.folder / "my.yaml").write_text("version: 1\n")
+    (job.folder / "my.yaml").write_text("version: 1\ntitle: Nothing\n")
     assert _submit(job).wait(GUARD_SECONDS) == 2
-    assert "error: my.yaml: " in job.log
+    assert "error: my.yaml" in job.log
     job.await_alone()

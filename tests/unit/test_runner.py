@@ -23,7 +23,7 @@ from hident.engine.results import Results
 from hident.engine.runner import run, stored
 from hident.engine.scores import Scores
 from hident.engine.store import MemoryStore, Reader, Store
-from hident.engine.unit_trials import UnitTrials
+from hident.engine.unit_trials import Recent, UnitTrials
 from hident.errors import ConfigError, StoreError, TrialsCrashed
 from hident.ledger.verdicts import judge
 from hident.reports.output import Outputs
@@ -281,10 +281,10 @@ def test_chunks_of_many_workers_take_longer_but_not_at_the_end(
     assert sizes[:-1] == sorted(sizes[:-1], reverse=True)
 
 
-@pytest.mark.parametrize("held", [True, False])
-def test_trials_that_are_not_stored_are_read_beside_those_that_are(lab: Lab, held: bool) -> None:
+@pytest.mark.parametrize("recent", [None, Recent(0), Recent(4)], ids=["held", "none", "recent"])
+def test_trials_that_are_not_stored_are_read_beside_those_that_are(lab: Lab, recent: Recent | None) -> None:
     plan, store = _plan(lab, trials=4), MemoryStore()
-    trials = UnitTrials(plan.units[0], plan.keys[0], plan.timing_keys[0], 4, store, held=held)
+    trials = UnitTrials(plan.units[0], plan.keys[0], plan.timing_keys[0], 4, store, recent)
     of_metric = np.array([[0.5], [0.25], [np.nan]])
     stored = Scores(np.array([0, 2, 3]), of_metric, {3: "singular"})
     store.add({}, [(plan.keys[0]["a"], stored)])
@@ -294,6 +294,40 @@ def test_trials_that_are_not_stored_are_read_beside_those_that_are(lab: Lab, hel
     [series] = trials.series()
     np.testing.assert_array_equal(series.values, [0.5, np.nan, 0.25, np.nan])
     assert sorted(series.reasons) == [("singular", 1), ("took longer", 1)]
+
+
+def test_of_very_many_trials_what_was_asked_for_last_is_not_read_again(lab: Lab) -> None:
+    class Counted(MemoryStore):
+        reads = 0
+
+        def trials(self, key: str, below: int) -> list[Scores]:
+            self.reads += 1
+            return super().trials(key, below)
+
+    metrics = {"a": {"kind": "value", "of": ["a_1", "b_0"]}}
+    known = {f"known {i}": {"kind": "known_dynamics", "a": [0.1 * i]} for i in (7, 8)}
+    plan, store = _plan(lab, trials=4, metrics=metrics, estimators=known, tables={}), Counted()
+    expected = run(plan, store=store)
+
+    def read(most: int) -> tuple[int, int]:
+        store.reads, recent = 0, Recent(most)
+        units = [
+            UnitTrials(*of, 4, store, recent)
+            for of in zip(plan.units[:2], plan.keys, plan.timing_keys, strict=False)
+        ]
+        every = [one for unit in units for one in unit.series()]
+        made = store.reads
+        for one, other in zip(every, expected.series, strict=False):
+            for _ in range(3):
+                assert one.values.tobytes() == np.ascontiguousarray(other.values).tobytes()
+        assert sum(array.size for array in recent._arrays.values()) <= most
+        return made, store.reads - made
+
+    # Two metrics of two labels with four values each: both, one, one label, nothing.
+    assert read(16) == (2, 0)
+    assert read(8) == (2, 2)
+    assert read(4) == (4, 4)
+    assert read(3) == (4, 12)
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
