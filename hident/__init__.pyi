@@ -43,6 +43,7 @@ from hident.estimators.nonparametric.kernel import Kernel as Kernel
 from hident.estimators.nonparametric.known_dynamics import KnownDynamics as KnownDynamics
 from hident.estimators.nonparametric.least_squares import LeastSquares as LeastSquares
 from hident.estimators.nonparametric.orthogonal import Orthogonal as Orthogonal
+from hident.estimators.prediction_error.block_specs import ContinuousBlock as ContinuousBlock
 from hident.estimators.prediction_error.block_specs import CubicSplineBlock as CubicSplineBlock
 from hident.estimators.prediction_error.block_specs import DeadZoneBlock as DeadZoneBlock
 from hident.estimators.prediction_error.block_specs import LinearBlock as LinearBlock

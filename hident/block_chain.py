@@ -9,6 +9,7 @@ import numpy as np
 
 from hident.arrays import Array
 from hident.linear_blocks import TransferFunction
+from hident.sampled_blocks import SampledTransferFunction
 from hident.static_functions import StaticFunction
 
 Block = TransferFunction | StaticFunction
@@ -57,6 +58,28 @@ class BlockChain:
     def static(self) -> tuple[StaticFunction, ...]:
         """The static functions, in their order."""
         return tuple(block for block in self.blocks if isinstance(block, StaticFunction))
+
+    @property
+    def is_continuous(self) -> bool:
+        """Whether there are linear blocks, all of them continuous: they have samples at any interval."""
+        return bool(self.linear) and all(isinstance(block, SampledTransferFunction) for block in self.linear)
+
+    def every(self, dt: float) -> BlockChain:
+        """The chain of the same continuous blocks for samples every ``dt``.
+
+        Raises
+        ------
+        ValueError
+            If a linear block is discrete, and works at its own interval.
+        """
+        if dt == self.dt:
+            return self
+        if not self.is_continuous:
+            raise ValueError("a discrete block has samples at its own interval only")
+        blocks = (
+            block.every(dt) if isinstance(block, SampledTransferFunction) else block for block in self.blocks
+        )
+        return BlockChain(tuple(blocks), dt)
 
     def signals(
         self, u: Array, start: Start = "rest", states: tuple[Array, ...] | None = None

@@ -127,6 +127,10 @@ class TransferFunction:
         """The block with its output multiplied by ``gain``."""
         return TransferFunction(tuple(gain * b for b in self.b), self.a)
 
+    def divided(self, gain: float) -> TransferFunction:
+        """The block with its output divided by ``gain``."""
+        return TransferFunction(tuple(b / gain for b in self.b), self.a)
+
     def frequency_response(self, omega: Array, dt: float = 1.0) -> Complex:
         """The complex gain at angular frequencies ``omega`` (any shape), radians per unit of time."""
         delay = np.exp(-1j * np.asarray(omega, dtype=float) * dt)

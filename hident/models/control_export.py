@@ -150,7 +150,7 @@ def control_source(model: FittedModel) -> str:
             _PRODUCT % product,
         )
     made = "".join(
-        f'    "{name}": {_entry(plain)},  # {kind_of(block)}\n'
+        f'    # {kind_of(block)}\n    "{name}": {_entry(plain)},\n'
         for name, block, plain in zip(chain.names, chain.blocks, blocks, strict=True)
     )
     return joined(

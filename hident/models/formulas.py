@@ -12,6 +12,7 @@ from hident.fitted_model import FittedModel
 from hident.linear_blocks import MOST_POLES, TransferFunction
 from hident.models.plain_blocks import CubicPieces, as_curve
 from hident.models.source_text import kind_of, wrapped
+from hident.sampled_blocks import SampledTransferFunction
 from hident.static_functions import Chebyshev, DeadZone, PiecewiseLinear, Saturation, StaticFunction
 
 _DIGITS = 5
@@ -49,11 +50,12 @@ def _parts(model: FittedModel) -> Iterator[str]:
     yield _head(model)
     errors = model.errors or ({},) * len(chain.blocks)
     for i, (name, block) in enumerate(zip(chain.names, chain.blocks, strict=True)):
-        lines = (
-            _linear(block, errors[i], model)
-            if isinstance(block, TransferFunction)
-            else _static(block, errors[i])
-        )
+        if isinstance(block, SampledTransferFunction):
+            lines = _continuous(block, errors[i], model)
+        elif isinstance(block, TransferFunction):
+            lines = _linear(block, errors[i], model)
+        else:
+            lines = _static(block, errors[i])
         fitted = model.range_of(i)
         said = f", fitted to inputs from {fitted[0]:.{_DIGITS}g} to {fitted[1]:.{_DIGITS}g}" if fitted else ""
         yield "\n".join([f"{name}: {kind_of(block)}{said}", *(f"  {line}" for line in lines)])
@@ -107,6 +109,39 @@ def _linear(block: TransferFunction, errors: Mapping[str, float], model: FittedM
             for pole in sorted(block.poles(), key=abs, reverse=True)
             if pole.imag >= 0.0
         )
+
+
+def _continuous(
+    block: SampledTransferFunction, errors: Mapping[str, float], model: FittedModel
+) -> Iterator[str]:
+    continuous = block.continuous
+    top = [
+        (value, errors.get(f"b_{i}"), ("", "s")[i] if i < 2 else f"s^{i}")
+        for i, value in enumerate(continuous.b)
+    ]
+    bottom: list[tuple[float, float | None, str]] = [(1.0, None, "")]
+    bottom += [
+        (value, errors.get(f"a_{i}"), "s" if i == 1 else f"s^{i}")
+        for i, value in enumerate(continuous.a, start=1)
+    ]
+    unit = time_unit(model)
+    if continuous.delay:
+        yield f"Y(s) = exp(-{continuous.delay:.{_DIGITS}g} s) B(s)/A(s) X(s)"
+    else:
+        yield "Y(s) = B(s)/A(s) X(s)"
+    yield from _sum("B(s) = ", top)
+    yield from _sum("A(s) = ", bottom)
+    between = "held" if block.intersample == "held" else "along straight lines"
+    yield f"between samples its input is {between}"
+    yield f"static gain {continuous.static_gain():.{_DIGITS}g}"
+    for pole in sorted(continuous.poles(), key=lambda one: -one.real):
+        if pole.imag < 0.0:
+            continue
+        said = [f"time constant {f'{-1.0 / pole.real:.4g} {unit}'.strip()}"] if pole.real < 0.0 else []
+        if pole.imag:
+            said.append(f"period {f'{2.0 * math.pi / pole.imag:.4g} {unit}'.strip()}")
+        value = f"{pole.real:.{_DIGITS}g}" + (f" +- {pole.imag:.{_DIGITS}g}i" if pole.imag else "")
+        yield f"pole {value}" + (f" ({', '.join(said)})" if said else "")
 
 
 def _pole(pole: complex, model: FittedModel) -> str:

@@ -13,8 +13,10 @@
       "about": {"input": "valve", "units": {"input": "%", "output": "m", "time": "s"}, ...}
     }
 
-Numbers are written with as many digits as give the same double again. A block also holds ``errors``, the
-standard errors of its numbers by name, and ``fitted_on``, the range of its input in the fit.
+Numbers are written with as many digits as give the same double again. A continuous block is of the kind
+``continuous_transfer_function``, with ``b`` and ``a`` by rising power of s, ``delay``, and ``intersample``:
+what its input is between the samples (``held`` or ``linear``). A block also holds ``errors``, the standard
+errors of its numbers by name, and ``fitted_on``, the range of its input in the fit.
 
 ``about`` may hold anything. What other parts of hident look for there is checked: ``input`` and ``output``
 (names of columns), ``units`` (of ``input``, ``output`` and ``time``), ``data`` (the SHA-256 of each file),
@@ -40,8 +42,9 @@ from hident.config.suggest import did_you_mean, one_of
 from hident.config.yaml12 import Location
 from hident.errors import ConfigError
 from hident.fitted_model import FittedModel, NoiseModel
-from hident.linear_blocks import TransferFunction
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 from hident.new_files import replacing
+from hident.sampled_blocks import Intersample, SampledTransferFunction
 from hident.static_functions import (
     Chebyshev,
     CubicSpline,
@@ -150,8 +153,8 @@ class _Block(Spec):
     errors: dict[str, _NotNegative] | None = None
     fitted_on: Annotated[tuple[_Number, _Number], AfterValidator(_ordered)] | None = None
 
-    def block(self) -> Block:
-        """The block; ValueError if its numbers do not fit together."""
+    def block(self, dt: float | None) -> Block:
+        """The block for samples every ``dt``; ValueError if its numbers do not fit together."""
         raise NotImplementedError
 
     def numbers(self) -> Sequence[str]:
@@ -164,11 +167,31 @@ class _Linear(_Block):
     b: NonEmpty[_Number]
     a: _Numbers
 
-    def block(self) -> TransferFunction:
+    def block(self, dt: float | None) -> TransferFunction:
         return TransferFunction(b=self.b, a=self.a)
 
     def numbers(self) -> Sequence[str]:
-        return tuple(self.block().values())
+        return tuple(TransferFunction(b=self.b, a=self.a).values())
+
+
+class _Continuous(_Block):
+    kind: ClassVar[str] = "continuous_transfer_function"
+    b: NonEmpty[_Number]
+    a: NonEmpty[_Number]
+    delay: _NotNegative
+    intersample: Intersample
+
+    def block(self, dt: float | None) -> SampledTransferFunction:
+        if dt is None:
+            raise ValueError("a continuous block needs the sampling interval 'dt' of the model")
+        block = ContinuousTransferFunction(self.b, self.a, self.delay)
+        return SampledTransferFunction(block, dt, self.intersample)
+
+    def numbers(self) -> Sequence[str]:
+        return (
+            *(f"a_{i}" for i in range(1, len(self.a) + 1)),
+            *(f"b_{i}" for i in range(len(self.b))),
+        )
 
 
 class _Static(_Block):
@@ -177,7 +200,7 @@ class _Static(_Block):
     def basis(self) -> Any:
         raise NotImplementedError
 
-    def block(self) -> StaticFunction:
+    def block(self, dt: float | None) -> StaticFunction:
         basis = self.basis()
         if len(self.coefficients) != basis.size:
             raise ValueError(
@@ -243,7 +266,16 @@ class _CubicSpline(_Static):
 
 
 _KINDS: dict[str, type[_Block]] = {
-    cls.kind: cls for cls in (_Linear, _Polynomial, _PiecewiseLinear, _CubicSpline, _Saturation, _DeadZone)
+    cls.kind: cls
+    for cls in (
+        _Linear,
+        _Continuous,
+        _Polynomial,
+        _PiecewiseLinear,
+        _CubicSpline,
+        _Saturation,
+        _DeadZone,
+    )
 }
 
 
@@ -327,6 +359,15 @@ def _encoded(model: FittedModel) -> dict[str, Any]:
 
 
 def _entry(block: Block) -> dict[str, Any]:
+    if isinstance(block, SampledTransferFunction):
+        continuous = block.continuous
+        return {
+            "kind": _Continuous.kind,
+            "b": continuous.b,
+            "a": continuous.a,
+            "delay": continuous.delay,
+            "intersample": block.intersample,
+        }
     if isinstance(block, TransferFunction):
         return {"kind": _Linear.kind, "b": block.b, "a": block.a}
     basis: Any = block.basis
@@ -349,7 +390,7 @@ def _decoded(data: Mapping[str, Any], name: str) -> FittedModel:
         raise document.error(problems_of(error)) from None
     if wrong := list(_misfits(read)):
         raise document.error(wrong)
-    blocks = tuple(entry.block() for entry in read.blocks)
+    blocks = tuple(entry.block(read.dt) for entry in read.blocks)
     return FittedModel(
         BlockChain(blocks, read.dt),
         start=read.start,
@@ -394,7 +435,7 @@ def _misfits(read: _Model) -> Iterator[Problem]:
     blocks: list[Block] = []
     for i, entry in enumerate(read.blocks):
         try:
-            blocks.append(entry.block())
+            blocks.append(entry.block(read.dt))
         except ValueError as error:
             yield Problem(("blocks", i), str(error))
             continue

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import hident
 from hident.block_chain import Block
 from hident.fitted_model import FittedModel
-from hident.linear_blocks import TransferFunction
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
+from hident.sampled_blocks import SampledTransferFunction
 
 WIDTH = 100
 
@@ -34,12 +35,34 @@ def facts(model: FittedModel) -> list[str]:
         if model.start == "rest"
         else "Before the first sample the input was its first value, and all blocks had settled to it."
     )
+    for name, block in zip(chain.names, chain.blocks, strict=True):
+        if isinstance(block, SampledTransferFunction):
+            between = "held between samples" if block.intersample == "held" else "straight between samples"
+            sentence = f"{name} is {in_s(block.continuous)}, for an input that is {between}."
+            said += textwrap.wrap(sentence, WIDTH, break_long_words=False, break_on_hyphens=False)
     said += [f"Fitted to {name} (SHA-256 {digest})." for name, digest in about.get("data", {}).items()]
     return [*said, f"Written by hident {hident.__version__}."]
 
 
+def in_s(block: ContinuousTransferFunction) -> str:
+    """A continuous block as a formula in s, to the last digit of its numbers."""
+
+    def polynomial(coefficients: Sequence[float]) -> str:
+        terms = [
+            f"{float(value)!r}{('', ' s')[i] if i < 2 else f' s^{i}'}"
+            for i, value in enumerate(coefficients)
+            if value or len(coefficients) == 1
+        ]
+        return " + ".join(terms).replace("+ -", "- ")
+
+    delay = f" exp(-{float(block.delay)!r} s)" if block.delay else ""
+    return f"({polynomial(block.b)})/({polynomial((1.0, *block.a))}){delay}"
+
+
 def kind_of(block: Block) -> str:
     """The kind of a block in words."""
+    if isinstance(block, SampledTransferFunction):
+        return "linear, continuous"
     if isinstance(block, TransferFunction):
         return "linear"
     return block.basis.kind.replace("_", " ")

@@ -28,6 +28,7 @@ LAYERS = (
     ("systems", "measurements", "fitted_model", "model_output"),
     ("records", "plugins"),
     ("block_chain", "second_order_sections"),
+    ("sampled_blocks",),
     ("linear_blocks", "static_functions"),
     ("numerics",),
     ("arrays",),

@@ -5,7 +5,8 @@ from hypothesis import strategies as st
 
 from hident.block_chain import BlockChain
 from hident.fitted_model import FittedModel, NoiseModel
-from hident.linear_blocks import TransferFunction
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
+from hident.sampled_blocks import SampledTransferFunction
 from hident.static_functions import (
     Chebyshev,
     CubicSpline,
@@ -30,6 +31,20 @@ def linear_blocks(draw):
         radius, angle = draw(st.floats(0.0, 0.95)), draw(st.floats(0.0, np.pi))
         denominator = np.convolve(denominator, [1.0, -2.0 * radius * np.cos(angle), radius**2])
     return TransferFunction(b=tuple(b), a=tuple((-denominator[1:]).tolist()))
+
+
+@st.composite
+def continuous_blocks(draw, dt):
+    """A stable continuous block of up to three poles for samples every ``dt``, with any delay."""
+    denominator = np.ones(1)
+    for _ in range(draw(st.integers(1, 3))):
+        denominator = np.convolve(denominator, [dt * draw(st.floats(0.3, 5.0)), 1.0])
+    a = tuple(denominator[-2::-1].tolist())
+    # Of one sign: scipy warns of a first coefficient that is next to nothing.
+    sign = draw(st.sampled_from([-1.0, 1.0]))
+    b = tuple(sign * draw(st.floats(0.1, 3.0)) * dt**i for i in range(draw(st.integers(1, len(a)))))
+    block = ContinuousTransferFunction(b, a, dt * draw(st.sampled_from([0.0, 0.3, 1.0, 2.75])))
+    return SampledTransferFunction(block, dt, draw(st.sampled_from(["held", "linear"])))
 
 
 @st.composite
@@ -62,10 +77,12 @@ def static_functions(draw):
 def models(draw, orders=ORDERS):
     """A model of any order of blocks, with or without what may be left out."""
     kinds = draw(st.sampled_from(orders)).split("-")
-    blocks = tuple(draw(linear_blocks() if kind == "L" else static_functions()) for kind in kinds)
+    dt = draw(st.none() | st.floats(1e-6, 1e6))
+    linear = linear_blocks() if dt is None else linear_blocks() | continuous_blocks(dt)
+    blocks = tuple(draw(linear if kind == "L" else static_functions()) for kind in kinds)
     known = draw(st.booleans())
     return FittedModel(
-        BlockChain(blocks, dt=draw(st.none() | st.floats(1e-6, 1e6))),
+        BlockChain(blocks, dt),
         start=draw(st.sampled_from(["rest", "settled"])),
         noise=NoiseModel((0.5,) * draw(st.integers(0, 2)), (-0.25,) * draw(st.integers(0, 2)), 1 / 3),
         errors=tuple({_first_number(block): draw(st.floats(0.0, 1e3))} for block in blocks) if known else (),

@@ -31,6 +31,18 @@ def groups(roots: Complex) -> list[Complex]:
     return found
 
 
+def parted(roots: Complex) -> Complex:
+    """The roots with two real ones in the place of each pair, for blocks that have no room for one."""
+    found: list[complex] = []
+    for group in groups(roots):
+        if len(group) == 1:
+            found.append(complex(group[0]))
+        else:
+            size, sign = abs(group[0]), 1.0 if group[0].real >= 0.0 else -1.0
+            found += [complex(sign * size**power) for power in (0.8, 1.25)]
+    return np.array(found, complex)
+
+
 def splits(roots: Complex, places: int, most: int) -> list[tuple[Complex, ...]]:
     """Ways to give the roots to so many blocks: all of them, or ``most`` that are spread over all."""
     found = list(islice(_all_splits(roots, places), _COUNTED))

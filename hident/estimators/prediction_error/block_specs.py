@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Self
 
 import numpy as np
@@ -9,10 +10,12 @@ from pydantic import Field, model_validator
 
 from hident.arrays import Array
 from hident.block_chain import Block
-from hident.config.spec import Component, Count, Flag, Interval, Of, component
+from hident.config.spec import Component, Count, Flag, Interval, Of, Real, component
+from hident.estimators.prediction_error.continuous_structure import ContinuousStructure
 from hident.estimators.prediction_error.parameters import LinearStructure
 from hident.estimators.prediction_error.structure import StaticKind
-from hident.linear_blocks import MOST_POLES, TransferFunction
+from hident.linear_blocks import MOST_POLES, ContinuousTransferFunction, TransferFunction
+from hident.sampled_blocks import Intersample, SampledTransferFunction
 from hident.static_functions import (
     Basis,
     Chebyshev,
@@ -23,6 +26,7 @@ from hident.static_functions import (
     StaticFunction,
 )
 from hident.systems.base import NonlinearitySpec, OfStatic
+from hident.systems.continuous import ContinuousSpec
 from hident.systems.linear import DiscreteSpec, LinearSpec
 
 _POINTS = 2001
@@ -34,11 +38,11 @@ class BlockSpec(Component):
     held: Flag = False
     """Whether the block stays as ``start`` says."""
 
-    def structure(self) -> LinearStructure | StaticKind:
-        """What is to be found of the block."""
+    def structure(self, dt: float = 1.0) -> LinearStructure | StaticKind:
+        """What is to be found of the block, for samples every ``dt``."""
         raise NotImplementedError
 
-    def given(self) -> Block | None:
+    def given(self, dt: float = 1.0) -> Block | None:
         """The block that the search starts from, or that is held; None if it is for the method to find."""
         raise NotImplementedError
 
@@ -47,8 +51,25 @@ class BlockSpec(Component):
         raise NotImplementedError
 
 
+class DynamicSpec(BlockSpec):
+    """Base of the linear blocks."""
+
+    def number_names(self) -> list[str]:
+        """The names of the numbers that are to be found."""
+        return self._orders(1.0).names()
+
+    def fewest_numbers(self) -> int:
+        return self._orders(1.0).size
+
+    def structure(self, dt: float = 1.0) -> LinearStructure:
+        return self._orders(dt)
+
+    def _orders(self, dt: float) -> LinearStructure:
+        raise NotImplementedError
+
+
 @component("block", "linear", source="Ljung, System Identification, 2nd ed., (4.41)")
-class LinearBlock(BlockSpec):
+class LinearBlock(DynamicSpec):
     """Linear block (b_nk q^-nk + ... + b_(nk+nb-1) q^-(nk+nb-1))/(1 + f_1 q^-1 + ... + f_nf q^-nf).
 
     Examples
@@ -84,19 +105,84 @@ class LinearBlock(BlockSpec):
             )
         return self
 
-    def structure(self) -> LinearStructure:
+    def _orders(self, dt: float) -> LinearStructure:
         return LinearStructure(self.nb, self.nf, self.nk)
 
-    def fewest_numbers(self) -> int:
-        return self.nb + self.nf
-
-    def given(self) -> TransferFunction | None:
+    def given(self, dt: float = 1.0) -> TransferFunction | None:
         if self.start is None:
             return None
         block = self.start.transfer_function()
         assert isinstance(block, TransferFunction)
         structure = self.structure()
         return structure.made(structure.numbers(block))
+
+
+@component("block", "continuous", source="Chen, Hwang, Chang 2009, eq. (1), (9)")
+class ContinuousBlock(DynamicSpec):
+    """Continuous block (b_0 + ... + b_m s^m) e^(-delay s)/(1 + a_1 s + ... + a_n s^n), exact at the samples.
+
+    It is stable. Records need a sampling interval, in the unit of which times and coefficients are.
+
+    Examples
+    --------
+    >>> ContinuousBlock(n=2, delay=0.5).structure(dt=0.25).names()
+    ['b_0', 'a_1', 'a_2']
+    """
+
+    n: Annotated[Count, Field(ge=1, le=12)]
+    """Order n of the denominator: poles."""
+    m: Annotated[Count, Field(ge=0)] = 0
+    """Order m of the numerator, below n."""
+    delay: Annotated[Real, Field(ge=0)] | None = None
+    """Delay, in the unit of dt; need not be a multiple of dt. None by default."""
+    nk: Annotated[Count, Field(ge=0, le=100_000)] | None = None
+    """Delay in samples, in the place of 'delay'."""
+    intersample: Intersample | None = None
+    """What the block's input is between samples: held, or linear, along straight lines.
+
+    By default linear behind another continuous block, whose output moves between samples, else held.
+    """
+    start: Annotated[LinearSpec, Of("linear")] | None = None
+    """A continuous block to start from, in place of what the record suggests."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.m >= self.n:
+            raise ValueError(f"the order m = {self.m} of the numerator must be below n = {self.n}")
+        if self.delay is not None and self.nk is not None:
+            raise ValueError("give either 'delay', in the unit of dt, or 'nk', in samples")
+        if self.start is None:
+            if self.held:
+                raise ValueError("'held' needs 'start', the block that stays")
+            return self
+        if not isinstance(self.start, ContinuousSpec):
+            raise ValueError(f"'start' must be a continuous block, not {self.start.kind}")
+        block = self.start.transfer_function()
+        if block.integrators:
+            raise ValueError("'start' has a pole at 0, and the blocks that are fitted are stable")
+        if len(block.a) != self.n or len(np.trim_zeros(block.b, "b")) > self.m + 1:
+            raise ValueError(
+                f"'start' has the orders {len(block.a)} and {len(block.b) - 1}, not n = {self.n} and "
+                f"m = {self.m}"
+            )
+        if self.nk is None and block.delay != (self.delay or 0.0):
+            raise ValueError(f"'start' has the delay {block.delay:g}, and the block {self.delay or 0.0:g}")
+        return self
+
+    def delay_at(self, dt: float) -> float:
+        """The delay, in the unit of dt."""
+        return (self.delay or 0.0) if self.nk is None else self.nk * dt
+
+    def _orders(self, dt: float) -> ContinuousStructure:
+        return ContinuousStructure.of(self.n, self.m, self.delay_at(dt), dt, self.intersample or "held")
+
+    def given(self, dt: float = 1.0) -> SampledTransferFunction | None:
+        if self.start is None:
+            return None
+        block = self.start.transfer_function()
+        assert isinstance(block, ContinuousTransferFunction)
+        made = replace(block, b=block.b[: self.m + 1], delay=self.delay_at(dt))
+        return SampledTransferFunction(made, dt, self.intersample or "held")
 
 
 class StaticSpec(BlockSpec):
@@ -115,7 +201,7 @@ class StaticSpec(BlockSpec):
             raise ValueError("'start' needs 'range', over which the nearest function of this kind is taken")
         return self
 
-    def structure(self) -> StaticKind:
+    def structure(self, dt: float = 1.0) -> StaticKind:
         return self
 
     def fewest_numbers(self) -> int:
@@ -135,7 +221,7 @@ class StaticSpec(BlockSpec):
     def _basis(self, x: Array, low: float, high: float) -> Basis:
         raise NotImplementedError
 
-    def given(self) -> StaticFunction | None:
+    def given(self, dt: float = 1.0) -> StaticFunction | None:
         if self.start is None or self.range is None:
             return None
         x = np.linspace(*self.range, _POINTS)

@@ -120,6 +120,8 @@ def _nested(structure: ChainStructure, first: Data, data: Data) -> list[Point]:
         for i in structure.free_static:
             shorter = structure.without(i)
             points = distinct(all_starts(shorter, first, data), 4)
+            if not points:
+                continue
             for raced in _heat(shorter, [one.parameters for one in points], first, _FIRST_HEAT[1])[:2]:
                 found += _lengthened(structure, i, raced.point, first)
     return found

@@ -21,6 +21,7 @@ import numpy as np
 
 from hident.arrays import Array
 from hident.block_chain import Block, BlockChain, Start, settled_state
+from hident.estimators.prediction_error.continuous_structure import ContinuousStructure
 from hident.estimators.prediction_error.parameters import LinearStructure, Parameters, is_stable
 from hident.fitted_model import NoiseModel
 from hident.linear_blocks import TransferFunction
@@ -244,10 +245,15 @@ def _linear_rows(
     data: Data, structure: LinearStructure, block: TransferFunction, x: Array, y: Array, out: Array
 ) -> int:
     from_input, from_output = data.filtered(np.ones(1), block.denominator, np.stack((x, y)))
+    # A continuous block has other numbers than the discrete one that it is for its samples.
+    is_continuous = isinstance(structure, ContinuousStructure)
+    rows = np.empty((structure.nb + structure.nf, len(x))) if is_continuous else out
     for j in range(structure.nb):
-        data.delayed(from_input, structure.nk + j, out[j])
+        data.delayed(from_input, structure.nk + j, rows[j])
     for j in range(structure.nf):
-        data.delayed(from_output, j + 1, out[structure.nb + j], -1.0)
+        data.delayed(from_output, j + 1, rows[structure.nb + j], -1.0)
+    if isinstance(structure, ContinuousStructure):
+        out[: structure.size] = structure.derivatives(block) @ rows
     return structure.size
 
 

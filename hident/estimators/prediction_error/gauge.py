@@ -37,7 +37,7 @@ def normalised(chain: BlockChain, held: frozenset[int] = frozenset(), start: Sta
         target = _receiver(blocks, i, held)
         if target is not None:
             gain = gain_of(block)
-            blocks[i] = replace(block, b=tuple(b / gain for b in block.b))
+            blocks[i] = block.divided(gain)
             blocks[target] = _taken(blocks[target], gain, is_behind=target > i)
     static = [i for i, block in enumerate(blocks) if isinstance(block, StaticFunction)]
     for i, j in pairwise(static):
@@ -82,7 +82,7 @@ def _receiver(blocks: list[Block], i: int, held: frozenset[int]) -> int | None:
 
 def _taken(block: Block, gain: float, *, is_behind: bool) -> Block:
     if isinstance(block, TransferFunction):
-        return replace(block, b=tuple(gain * b for b in block.b))
+        return block.scaled(gain)
     # Behind the block, what comes in is smaller by the factor; before it, what goes out is larger.
     return block.moved(1.0 / gain, 0.0) if is_behind else block.scaled(gain, 0.0)
 

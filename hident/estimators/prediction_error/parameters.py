@@ -11,6 +11,7 @@ import numpy as np
 from hident.arrays import Array
 from hident.block_chain import Block, BlockChain
 from hident.linear_blocks import TransferFunction
+from hident.sampled_blocks import SampledTransferFunction
 from hident.static_functions import Basis, StaticFunction
 
 
@@ -40,6 +41,23 @@ class LinearStructure:
         f[: len(feedback)] = feedback
         return np.concatenate((b, f))
 
+    def names(self) -> list[str]:
+        """The names of the numbers."""
+        return [*(f"b_{self.nk + j}" for j in range(self.nb)), *(f"a_{j + 1}" for j in range(self.nf))]
+
+    def values(self, numbers: Array) -> Array:
+        """The numbers with the signs of their names: a with that of :class:`TransferFunction`."""
+        return np.concatenate((numbers[: self.nb], -numbers[self.nb :]))
+
+    def scales(self, numbers: Array) -> Array:
+        """By how much each number must change to matter."""
+        b, f = np.abs(numbers[: self.nb]), np.abs(numbers[self.nb :])
+        return np.concatenate((np.full(len(b), np.max(b)), np.maximum(f, 1.0)))
+
+    def nearest(self, block: TransferFunction) -> TransferFunction:
+        """The block of this structure that is nearest to a discrete block."""
+        return block
+
 
 @dataclass(frozen=True)
 class StaticStructure:
@@ -60,6 +78,15 @@ class StaticStructure:
     def numbers(self, block: StaticFunction) -> Array:
         """Shape and coefficients of a function of such a basis."""
         return np.array((*block.basis.shape, *block.coefficients), dtype=float)
+
+    def names(self) -> list[str]:
+        """The names of the numbers."""
+        shape = ("low", "high")[: len(self.basis.shape)]
+        return [*shape, *(f"c_{j + 1}" for j in range(self.basis.size))]
+
+    def values(self, numbers: Array) -> Array:
+        """The numbers with the signs of their names."""
+        return numbers
 
 
 Structure = LinearStructure | StaticStructure
@@ -148,7 +175,7 @@ class Parameters:
     def is_stable(self) -> bool:
         """Whether all linear blocks to be found are stable."""
         return all(
-            is_stable(block.denominator)
+            block.is_stable() if isinstance(block, SampledTransferFunction) else is_stable(block.denominator)
             for i in self.free
             if isinstance(block := self.chain.blocks[i], TransferFunction) and block.a
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
@@ -12,15 +12,21 @@ from pydantic import Field, field_validator
 
 from hident.config.spec import Count, NonEmpty, Of, Spec, component
 from hident.errors import EstimationError
-from hident.estimators.base import DISCRETE, AtOneInterval, require_usable, unknown_past
+from hident.estimators.base import CONTINUOUS, DISCRETE, AtOneInterval, require_usable, unknown_past
 from hident.estimators.normalisation import Normalisation, unit_static_gain
-from hident.estimators.prediction_error.block_specs import BlockSpec, LinearBlock, StaticSpec
+from hident.estimators.prediction_error.block_specs import (
+    BlockSpec,
+    ContinuousBlock,
+    DynamicSpec,
+    StaticSpec,
+)
 from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain
 from hident.estimators.prediction_error.criterion import Data
 from hident.estimators.prediction_error.standard_errors import names, normal_form, standard_errors, values
 from hident.estimators.prediction_error.structure import ChainStructure
 from hident.fitted_model import FittedModel, NoiseModel
 from hident.records import Estimate, Record
+from hident.sampled_blocks import SampledTransferFunction
 
 _MOST_BLOCKS = 9
 _SUMMARY = ("mse", "iterations", "starts", "finalists", "agreeing")
@@ -101,16 +107,15 @@ class PredictionError(AtOneInterval):
 
     def _places(self) -> dict[int, str]:
         """What the names of each block's values begin with: nothing where there is one of its sort."""
-        linear = [i for i, block in enumerate(self.blocks) if isinstance(block, LinearBlock)]
+        linear = [i for i, block in enumerate(self.blocks) if isinstance(block, DynamicSpec)]
         return {i: f"l{k}_" if len(linear) > 1 else "" for k, i in enumerate(linear, start=1)}
 
     def names(self) -> Sequence[str]:
         found: list[str] = []
         for i, before in self._places().items():
             block = self.blocks[i]
-            assert isinstance(block, LinearBlock)
-            own = [f"b_{block.nk + j}" for j in range(block.nb)]
-            own += [f"a_{j}" for j in range(1, block.nf + 1)]
+            assert isinstance(block, DynamicSpec)
+            own = block.number_names()
             found += [f"{before}{name}" for name in own]
             found += [f"se_{before}{name}" for name in own]
         return [*found, *_SUMMARY]
@@ -118,13 +123,22 @@ class PredictionError(AtOneInterval):
     def provides(self) -> frozenset[str]:
         parts = {"response", "model"}
         if len(self._places()) == 1:
-            parts.add("linear")
+            parts.add("continuous" if self._continuous() else "linear")
         if len(self.blocks) - len(self._places()) == 1:
             parts.add("nonlinearity")
         return frozenset((*parts, *(f"value {name}" for name in self.names())))
 
+    def _continuous(self) -> int:
+        """How many linear blocks are continuous."""
+        return sum(isinstance(block, ContinuousBlock) for block in self.blocks)
+
     def letters(self) -> Mapping[str, str]:
-        return DISCRETE
+        # In a chain of both sorts a letter has no meaning of its own.
+        return {len(self._places()): CONTINUOUS, 0: DISCRETE}.get(self._continuous(), {})
+
+    def check(self, n: int, dt: float | None) -> None:
+        if self._continuous() and dt is None:
+            raise ValueError("a continuous block needs the sampling interval 'dt' of the data")
 
     def normalisations(self) -> tuple[Normalisation, ...] | None:
         if any(block.held for block in self.blocks):
@@ -147,8 +161,10 @@ class PredictionError(AtOneInterval):
                 f"{data.count} samples are left after n_init, and at least "
                 f"{self.fewest_samples() - self.n_init} are needed"
             )
+        if self._continuous() and record.dt is None:
+            raise EstimationError("a continuous block needs the sampling interval 'dt' of the record")
         return fit_chain(
-            self.structure(),
+            self.structure(record.dt),
             data,
             ar=self.noise.ar,
             ma=self.noise.ma,
@@ -156,14 +172,28 @@ class PredictionError(AtOneInterval):
             max_iterations=self.max_iterations,
         )
 
-    def structure(self) -> ChainStructure:
-        """What is to be found."""
-        given = {i: block.given() for i, block in enumerate(self.blocks)}
+    def structure(self, dt: float | None = None) -> ChainStructure:
+        """What is to be found, from samples every ``dt`` (None: discrete time)."""
+        step = 1.0 if dt is None else dt
+        blocks = tuple(self._sampled_blocks())
+        given = {i: block.given(step) for i, block in enumerate(blocks)}
         return ChainStructure(
-            tuple(block.structure() for block in self.blocks),
+            tuple(block.structure(step) for block in blocks),
             {i: block for i, block in given.items() if block is not None},
             frozenset(i for i, block in enumerate(self.blocks) if block.held),
         )
+
+    def _sampled_blocks(self) -> Iterator[BlockSpec]:
+        """The blocks, of which each continuous one says what its input is between samples."""
+        moves = False
+        for block in self.blocks:
+            if not isinstance(block, ContinuousBlock):
+                yield block
+                continue
+            yield block.model_copy(
+                update={"intersample": block.intersample or ("linear" if moves else "held")}
+            )
+            moves = True
 
     def estimate(self, fit: ChainFit, record: Record) -> Estimate:
         """The fit as an estimate, in the normal form."""
@@ -188,11 +218,14 @@ class PredictionError(AtOneInterval):
         chain = model.chain
 
         def response(u: Any, dt: float) -> Any:
-            return chain.response(u, "rest")
+            return (chain.every(dt) if chain.is_continuous else chain).response(u, "rest")
 
+        [only] = chain.linear if len(chain.linear) == 1 else [None]
+        continuous = only.continuous if isinstance(only, SampledTransferFunction) else None
         return Estimate(
             nonlinearity=chain.static[0] if len(chain.static) == 1 else None,
-            linear=chain.linear[0] if len(chain.linear) == 1 else None,
+            linear=only if continuous is None else None,
+            continuous=continuous,
             response=response,
             model=model,
             values={name: float(numbers[name]) for name in self.names()},

@@ -21,21 +21,12 @@ _STEP = 1e-6
 
 def names(parameters: Parameters, i: int) -> list[str]:
     """The names of the numbers of block i, in their order: b and a of a linear block, c of a static one."""
-    structure = parameters.structures[i]
-    if isinstance(structure, LinearStructure):
-        b = [f"b_{structure.nk + j}" for j in range(structure.nb)]
-        return [*b, *(f"a_{j + 1}" for j in range(structure.nf))]
-    shape = ("low", "high")[: len(structure.basis.shape)]
-    return [*shape, *(f"c_{j + 1}" for j in range(structure.basis.size))]
+    return parameters.structures[i].names()
 
 
 def values(parameters: Parameters, i: int) -> Array:
     """The numbers of block i in that order, a with the sign of :class:`TransferFunction`."""
-    numbers = parameters.numbers(i)
-    structure = parameters.structures[i]
-    if isinstance(structure, LinearStructure):
-        numbers[structure.nb :] *= -1.0
-    return numbers
+    return parameters.structures[i].values(parameters.numbers(i))
 
 
 def normal_form(point: Point) -> Parameters:
@@ -138,8 +129,7 @@ def _scales(parameters: Parameters, i: int) -> Array:
     """By how much each number of block i must change to matter: each sort has a unit of its own."""
     numbers, structure = np.abs(parameters.numbers(i)), parameters.structures[i]
     if isinstance(structure, LinearStructure):
-        b, f = numbers[: structure.nb], numbers[structure.nb :]
-        return np.concatenate((np.full(len(b), np.max(b)), np.maximum(f, 1.0)))
+        return structure.scales(parameters.numbers(i))
     shape = len(structure.basis.shape)
     block = parameters.chain.blocks[i]
     assert isinstance(block, StaticFunction)

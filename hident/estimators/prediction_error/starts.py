@@ -19,7 +19,7 @@ from itertools import product
 import numpy as np
 
 from hident.arrays import Array, Complex
-from hident.estimators.prediction_error.allocations import block, fits, splits
+from hident.estimators.prediction_error.allocations import block, fits, parted, splits
 from hident.estimators.prediction_error.criterion import Data, Point, least_squares, point_at
 from hident.estimators.prediction_error.descent import norm
 from hident.estimators.prediction_error.linear_start import demeaned, stabilised, steiglitz_mcbride
@@ -87,8 +87,15 @@ def _best_splits(
 ) -> Iterator[Point]:
     places = list(structure.linear)
     most = _MOST_SPLITS if len(places) < 3 else _MOST_OF_MANY
-    zero_splits = splits(_zeros(model, sum(delays)), len(places), most)
-    for poles in splits(model.poles(), len(places), _MOST_SPLITS):
+    own_poles, own_zeros = model.poles(), _zeros(model, sum(delays))
+    zero_splits, pole_splits = (
+        splits(own_zeros, len(places), most),
+        splits(own_poles, len(places), _MOST_SPLITS),
+    )
+    if not any(fits(zeros, poles, sizes) for zeros in zero_splits for poles in pole_splits):
+        zero_splits = splits(parted(own_zeros), len(places), most)
+        pole_splits = splits(parted(own_poles), len(places), _MOST_SPLITS)
+    for poles in pole_splits:
         best: Point | None = None
         for zeros in zero_splits:
             if not fits(zeros, poles, sizes):

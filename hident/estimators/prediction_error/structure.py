@@ -115,14 +115,14 @@ class ChainStructure:
         x = data.u
         for i, block in enumerate(self.blocks):
             if isinstance(block, LinearStructure):
-                made = self.given.get(i) or linear[i]
+                made = self.given.get(i) or block.nearest(linear[i])
                 assert isinstance(made, TransferFunction)
                 y = data.through(made, x)
                 is_before_static = i + 1 < len(self.blocks) and i + 1 in self.static
                 scale = float(np.std(y[data.counted]))
                 is_met = i + 1 in self.given or functions.get(i + 1) is not None
                 if i not in self.given and is_before_static and not is_met and scale > 0.0:
-                    made = replace(made, b=tuple(b / scale for b in made.b))
+                    made = made.divided(scale)
                     y = y / scale
                 x = y
             else:
