@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -68,6 +68,16 @@ class FittedModel:
         if not isinstance(record, Record):
             return self.chain.response(record, self.start)
         return in_each(record.experiments, lambda u: self.chain.response(u, self.start), record.u)
+
+    def every(self, dt: float) -> FittedModel:
+        """The model for samples every ``dt``, without its noise, which is one of its own samples.
+
+        Raises
+        ------
+        ValueError
+            If a linear block is discrete, and works at its own interval.
+        """
+        return self if dt == self.chain.dt else replace(self, chain=self.chain.every(dt), noise=NoiseModel())
 
     def signals(self, record: Record) -> tuple[Array, ...]:
         """The record's input (N,) and what stands behind each block; see :meth:`simulate`."""

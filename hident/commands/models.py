@@ -103,7 +103,7 @@ def simulate_model(
     record = _record(files, column, compare, dt, time)
     data = ", ".join(map(str, files))
     if not any_dt:
-        _check_interval(record, model, data)
+        model = _at_interval(record, model, data, steps)
     run = _Run(model, record, column, compare, steps, n_init)
     run.check(data)
     for line in run.warnings():
@@ -126,16 +126,22 @@ def _record(
     return spec.read_input(Path()) if compare is None else spec.read(Path())
 
 
-def _check_interval(record: Record, model: FittedModel, data: str) -> None:
-    """ConfigError if the samples are known to come at another interval than those of the fit."""
+def _at_interval(record: Record, model: FittedModel, data: str, steps: int) -> FittedModel:
+    """The model for the record's samples; ConfigError if it is known to have none at their interval."""
     wanted = model.chain.dt
-    if record.dt is None or wanted is None:
-        return
-    if abs(record.dt - wanted) > _SAME_INTERVAL * wanted:
-        raise ConfigError(
-            f"{data} is sampled every {record.dt:g}, and the model was fitted to samples every {wanted:g}: "
-            "resample the input, or ask for it as it stands by --any-dt"
-        )
+    if record.dt is None or wanted is None or abs(record.dt - wanted) <= _SAME_INTERVAL * wanted:
+        return model
+    said = f"{data} is sampled every {record.dt:g}, and the model was fitted to samples every {wanted:g}"
+    if not model.chain.is_continuous:
+        raise ConfigError(f"{said}: resample the input, or ask for it as it stands by --any-dt")
+    if steps and (model.noise.ar or model.noise.ma):
+        raise ConfigError(f"{said}, as its noise is: leave out --k-step, or resample the record")
+    try:
+        found = model.every(record.dt)
+    except ValueError as error:
+        raise ConfigError(f"{said}: {error}") from None
+    print(f"note: {said}: its linear blocks are continuous, and sampled anew", file=sys.stderr)
+    return found
 
 
 class _Run:

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hident.arrays import Array
+from hident.arrays import Array, Complex
 from hident.fitted_model import FittedModel
 from hident.linear_blocks import MOST_POLES, TransferFunction
 from hident.models.formulas import time_unit
 from hident.reports.style import ESTIMATE, LINES, TRUE_LEVEL, label_edges, legend_above, panel_rows
+from hident.sampled_blocks import SampledTransferFunction
 from hident.static_functions import StaticFunction
 
 if TYPE_CHECKING:
@@ -107,11 +108,10 @@ def _bode(model: FittedModel) -> Figure:
     figure, grid = panel_rows(2 * count, count, (3.4, 2.0), _AROUND, sharex=True)
     scale, label = _frequency(model)
     omega = np.geomspace(0.1 * min(0.1, *map(_slowest, model.chain.linear), 0.1), math.pi, _POINTS)
-    q = np.exp(-1j * omega)
     for column, (place, name) in enumerate(blocks):
         block = model.chain.blocks[place]
         assert isinstance(block, TransferFunction)
-        response = np.polyval(block.b[::-1], q) / np.polyval(block.denominator[::-1], q)
+        response = _response(block, omega)
         gains, phases = grid[0, column], grid[1, column]
         size = np.maximum(np.abs(response), np.finfo(float).tiny)
         gains.semilogx(scale * omega, 20.0 * np.log10(size), **_CURVE)
@@ -122,6 +122,14 @@ def _bode(model: FittedModel) -> Figure:
     grid[0, 0].set_ylabel("gain (dB)")
     grid[1, 0].set_ylabel("phase (degrees)")
     return figure
+
+
+def _response(block: TransferFunction, omega: Array) -> Complex:
+    """The complex gain at frequencies in radians per sample; of a continuous block without the hold."""
+    if isinstance(block, SampledTransferFunction):
+        return block.continuous.frequency_response(omega / block.dt)
+    q = np.exp(-1j * omega)
+    return np.asarray(np.polyval(block.b[::-1], q) / np.polyval(block.denominator[::-1], q))
 
 
 def _slowest(block: TransferFunction) -> float:
@@ -159,10 +167,17 @@ def _poles_zeros(model: FittedModel) -> Figure:
     for axes, (place, name) in zip(grid.flat, blocks, strict=False):
         block = model.chain.blocks[place]
         assert isinstance(block, TransferFunction)
-        top, bottom = block.in_z()
-        axes.plot(np.cos(angle), np.sin(angle), **{**TRUE_LEVEL, "linewidth": 0.8})
-        # Those of a long block without feedback take too long to find.
-        found = [np.roots(row) if len(row) <= MOST_POLES + 1 else np.zeros(0) for row in (bottom, top)]
+        if isinstance(block, SampledTransferFunction):
+            found = [block.continuous.poles(), block.continuous.zeros()]
+            axes.axvline(0.0, **{**TRUE_LEVEL, "linewidth": 0.8})
+            most = reach = 1.2 * float(np.max(np.abs(np.concatenate(found))))
+        else:
+            top, bottom = block.in_z()
+            axes.plot(np.cos(angle), np.sin(angle), **{**TRUE_LEVEL, "linewidth": 0.8})
+            # Those of a long block without feedback take too long to find.
+            found = [np.roots(row) if len(row) <= MOST_POLES + 1 else np.zeros(0) for row in (bottom, top)]
+            most = _REACH
+            reach = min(most, 1.1 * float(np.max(np.abs(np.concatenate(found)), initial=1.0)))
         for roots, look, label in zip(
             found,
             ({"marker": "x", "color": LINES[1]["color"]}, {"marker": "o", "color": LINES[0]["color"]}),
@@ -173,16 +188,21 @@ def _poles_zeros(model: FittedModel) -> Figure:
                 mark = {"linestyle": "none", "fillstyle": "none", "markersize": 6, **look}
                 axes.plot(roots.real, roots.imag, label=label, **mark)
         sizes = np.abs(np.concatenate(found))
-        far = int(np.sum(sizes > _REACH))
+        far = int(np.sum(sizes > most))
         axes.set_title(name + (f" ({far} beyond the frame)" if far else ""))
-        reach = min(_REACH, 1.1 * float(np.max(sizes, initial=1.0)))
         axes.set_xlim(-reach, reach)
         axes.set_ylim(-reach, reach)
         axes.set_aspect("equal")
-        axes.set_xlabel("real part")
+        axes.set_xlabel("real part" + (_of_time(model) if isinstance(block, SampledTransferFunction) else ""))
     grid.flat[0].set_ylabel("imaginary part")
     legend_above(figure)
     return figure
+
+
+def _of_time(model: FittedModel) -> str:
+    """The unit of a continuous pole."""
+    unit = time_unit(model)
+    return f" (1/{unit})" if unit else " (1/time)"
 
 
 def comparison(

@@ -7,7 +7,8 @@ from hypothesis import given
 import hident as hi
 from hident.block_chain import BlockChain
 from hident.fitted_model import FittedModel, NoiseModel
-from hident.linear_blocks import TransferFunction
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
+from hident.sampled_blocks import SampledTransferFunction
 from hident.static_functions import (
     Chebyshev,
     CubicSpline,
@@ -173,3 +174,17 @@ def test_numbers_of_any_size_are_written(value, error, written):
 def test_what_overflows_is_told_without_a_warning():
     spline = StaticFunction(CubicSpline((0.0, 1e-300)), (0.0, 1e300, -1e300, 0.0))
     assert "nan" in "".join(lines_of(spline)) or "inf" in "".join(lines_of(spline))
+
+
+def test_a_continuous_block_is_written_in_s():
+    block = SampledTransferFunction(ContinuousTransferFunction((1.0, -0.5), (2.0, 4.0), 0.25), 0.1, "linear")
+    errors = ({"b_0": 0.0, "b_1": 0.012, "a_1": 0.03},)
+    assert lines_of(block, errors, dt=0.1, about={"units": {"time": "min"}}) == [
+        "L: linear, continuous",
+        "  Y(s) = exp(-0.25 s) B(s)/A(s) X(s)",
+        "  B(s) = 1 - 0.500(12) s",
+        "  A(s) = 1 + 2.000(30) s + 4 s^2",
+        "  between samples its input is along straight lines",
+        "  static gain 1",
+        "  pole -0.25 +- 0.43301i (time constant 4 min, period 14.51 min)",
+    ]

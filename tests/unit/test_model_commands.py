@@ -1,6 +1,7 @@
 """The verbs simulate, show and convert: what they print and write, and what they refuse."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ from PIL import Image
 import hident as hi
 from hident.block_chain import BlockChain
 from hident.fitted_model import FittedModel, NoiseModel
-from hident.linear_blocks import TransferFunction
+from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
+from hident.sampled_blocks import SampledTransferFunction
 from hident.static_functions import DeadZone, PiecewiseLinear, StaticFunction
 from tests.forked import run_forked
 
@@ -110,6 +112,38 @@ def test_another_sampling_interval_is_an_error_unless_asked_for(folder):
     )
     assert "60 samples" in said(folder, "simulate tank.json tank.csv --dt 2 --any-dt")
     assert "60 samples" in said(folder, "simulate tank.json tank.csv --dt 4.0001")
+
+
+CONTINUOUS = replace(
+    MODEL,
+    chain=BlockChain(
+        (VALVE, SampledTransferFunction(ContinuousTransferFunction((1.0,), (18.0,), 2.0), 4.0)), 4.0
+    ),
+)
+
+
+def test_continuous_blocks_are_sampled_anew_at_another_interval(folder):
+    hi.write_model(CONTINUOUS, folder / "tank.json")
+    done = run_forked("simulate tank.json tank.csv --dt 2 --out sim.csv".split(), folder)
+    assert done.returncode == 0
+    assert done.stderr == (
+        "note: tank.csv is sampled every 2, and the model was fitted to samples every 4: its linear blocks are "
+        "continuous, and sampled anew\n"
+    )
+    columns = np.genfromtxt(folder / "sim.csv", delimiter=",", names=True)
+    expected = CONTINUOUS.chain.every(2.0).response(U, "settled")
+    assert columns["simulated"].tobytes() == expected.tobytes()
+    # A time of 2 s is one sample, or half of one.
+    assert np.argmax(expected != expected[0]) == 5 + 2
+    assert "60 samples" in said(folder, "simulate tank.json tank.csv --dt 4")
+
+
+def test_noise_has_its_own_interval(folder):
+    hi.write_model(CONTINUOUS, folder / "tank.json")
+    assert said(folder, "simulate tank.json tank.csv --dt 2 --compare y --k-step 1", 2) == (
+        "error: tank.csv is sampled every 2, and the model was fitted to samples every 4, as its noise is: "
+        "leave out --k-step, or resample the record\n"
+    )
 
 
 REFUSED = [
