@@ -46,6 +46,7 @@ from hident.estimators.nonparametric.orthogonal import Orthogonal as Orthogonal
 from hident.estimators.prediction_error.block_specs import ContinuousBlock as ContinuousBlock
 from hident.estimators.prediction_error.block_specs import CubicSplineBlock as CubicSplineBlock
 from hident.estimators.prediction_error.block_specs import DeadZoneBlock as DeadZoneBlock
+from hident.estimators.prediction_error.block_specs import ExpansionBlock as ExpansionBlock
 from hident.estimators.prediction_error.block_specs import LinearBlock as LinearBlock
 from hident.estimators.prediction_error.block_specs import PiecewiseLinearBlock as PiecewiseLinearBlock
 from hident.estimators.prediction_error.block_specs import PolynomialBlock as PolynomialBlock

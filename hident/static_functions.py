@@ -53,10 +53,13 @@ class Basis(Protocol):
         """The ends of what it spans."""
 
     def constant(self) -> Array:
-        """The coefficients (K,) of the function that is 1 everywhere; all bases have it."""
+        """The coefficients (K,) of the function that is 1 everywhere; ValueError if there are none."""
 
     def moved(self, coefficients: Array, factor: float, offset: float) -> tuple[Basis, Array]:
-        """Basis and coefficients of f as a function of z = factor x + offset, with a factor other than 0."""
+        """Basis and coefficients of f as a function of z = factor x + offset, with a factor other than 0.
+
+        ValueError if the basis holds for x alone.
+        """
 
 
 @dataclass(frozen=True)
@@ -403,14 +406,17 @@ class StaticFunction:
         return self.basis.range
 
     def scaled(self, factor: float, offset: float) -> StaticFunction:
-        """The function factor f(x) + offset."""
-        one = self.basis.constant()
+        """The function factor f(x) + offset; ValueError if the basis has no constant to hold an offset."""
+        one = self.basis.constant() if offset else np.zeros(self.basis.size)
         return StaticFunction(
             self.basis, tuple((factor * np.asarray(self.coefficients) + offset * one).tolist())
         )
 
     def moved(self, factor: float, offset: float) -> StaticFunction:
-        """The function of z = factor x + offset that is f(x): in other units, or the other way round."""
+        """The function of z = factor x + offset that is f(x): in other units, or the other way round.
+
+        ValueError if the basis holds for x alone.
+        """
         basis, coefficients = self.basis.moved(np.asarray(self.coefficients), factor, offset)
         return StaticFunction(basis, tuple(coefficients.tolist()))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from decimal import Decimal
 
@@ -14,6 +15,8 @@ from hident.models.plain_blocks import CubicPieces, as_curve
 from hident.models.source_text import kind_of, wrapped
 from hident.sampled_blocks import SampledTransferFunction
 from hident.static_functions import Chebyshev, DeadZone, PiecewiseLinear, Saturation, StaticFunction
+from hident.systems.base import NonlinearitySpec
+from hident.systems.function_basis import Functions
 
 _DIGITS = 5
 _SMALLEST = 15
@@ -196,6 +199,9 @@ def _static(function: StaticFunction, errors: Mapping[str, float]) -> Iterator[s
             )
             yield from _sum("f(x) = ", list(zip(c, known, ["", *inner], strict=True)))
             yield f"with low = {low} and high = {high}"
+        case Functions():
+            words = [_words(function) for function in basis.functions]
+            yield from _sum("f(u) = ", list(zip(c, known, words, strict=True)))
         case _:
             curve = as_curve(function)
             assert isinstance(curve, CubicPieces)
@@ -206,6 +212,15 @@ def _static(function: StaticFunction, errors: Mapping[str, float]) -> Iterator[s
             if any(error is not None for error in known):
                 yield "coefficients of the B-splines:"
                 yield from wrapped(map(_number, c, known), "  ").split("\n")
+
+
+def _words(function: NonlinearitySpec) -> str:
+    """A function of u as a factor."""
+    text = function.formula()
+    if text is None:
+        return f"{function.kind}(u)"
+    simple = re.fullmatch(r"\w+|\w+\*\*\d+|\w+\([^()]*\)", text)
+    return text if simple else f"({text})"
 
 
 def _ends(function: StaticFunction) -> str:

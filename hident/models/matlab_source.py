@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 from hident.errors import ConfigError
 from hident.fitted_model import FittedModel
+from hident.models.formula_source import MATLAB
 from hident.models.plain_blocks import (
     BrokenLine,
     ChebyshevSum,
     CubicPieces,
     Filter,
+    FormulaSum,
     PlainBlock,
-    Row,
     plain_blocks,
 )
 from hident.models.python_source import numbers
@@ -72,6 +74,26 @@ end
 """,
     ),
 }
+_FUNCTIONS[FormulaSum] = (
+    "formulas",
+    """\
+function y = formulas(x, functions, coefficients)
+  % a sum of functions
+  y = zeros(size(x));
+  for k = 1:numel(functions)
+    y = y + coefficients(k) * functions{k}(x);
+  end
+end
+""",
+)
+_CHOOSE = """\
+function y = choose(condition, first, second)
+  % the first where the condition is not zero, else the second
+  y = zeros(size(condition)) + second;
+  first = zeros(size(condition)) + first;
+  y(condition ~= 0) = first(condition ~= 0);
+end
+"""
 _BEYOND = """\
 function y = beyond(x, low, high, left, right)
   % what lines of these slopes add beyond the ends
@@ -102,7 +124,7 @@ def matlab_source(model: FittedModel, name: str = "response") -> str:
         "  x = double(u(:));",
     ]
     for label, block, plain in zip(model.chain.names, model.chain.blocks, blocks, strict=True):
-        arguments = [_written(value) for value in numbers(plain).values()]
+        arguments = [_written(value) for value in numbers(plain, MATLAB).values()]
         lines.append(f"  % {label}: {kind_of(block)}")
         lines.append(
             f"  x = {_FUNCTIONS[type(plain)][0]}(x, ...\n    " + ", ...\n    ".join(arguments) + ");"
@@ -110,14 +132,17 @@ def matlab_source(model: FittedModel, name: str = "response") -> str:
     lines += ["  y = reshape(x, size(u));", "end", ""]
     used = {type(plain) for plain in blocks}
     functions = [source for kind, (_, source) in _FUNCTIONS.items() if kind in used]
-    beyond = [_BEYOND] if used - {Filter} else []
-    return "\n".join(["\n".join(lines), *functions, *beyond])
+    beyond = [_BEYOND] if used - {Filter, FormulaSum} else []
+    choose = [_CHOOSE] if any("choose(" in line for line in lines) else []
+    return "\n".join(["\n".join(lines), *functions, *beyond, *choose])
 
 
-def _written(value: float | Row | tuple[Row, ...]) -> str:
-    """A number, a row or a matrix."""
+def _written(value: Any) -> str:
+    """A number, a row, a matrix, or a cell array of functions."""
     if not isinstance(value, tuple):
         return repr(value)
+    if texts := [text for text in value if isinstance(text, str)]:
+        return "{" + ", ...\n     ".join(wrapped([text], "", " ...") for text in texts) + "}"
     rows = [row for row in value if isinstance(row, tuple)]
     if rows:
         return "[" + "; ...\n     ".join(wrapped(map(repr, row), "", " ...") for row in rows) + "]"

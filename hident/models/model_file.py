@@ -15,8 +15,10 @@
 
 Numbers are written with as many digits as give the same double again. A continuous block is of the kind
 ``continuous_transfer_function``, with ``b`` and ``a`` by rising power of s, ``delay``, and ``intersample``:
-what its input is between the samples (``held`` or ``linear``). A block also holds ``errors``, the standard
-errors of its numbers by name, and ``fitted_on``, the range of its input in the fit.
+what its input is between the samples (``held`` or ``linear``). A sum of given functions is an ``expansion``:
+its ``functions`` are written as in a configuration, and were fitted between ``low`` and ``high``. A block
+also holds ``errors``, the standard errors of its numbers by name, and ``fitted_on``, the range of its input
+in the fit.
 
 ``about`` may hold anything. What other parts of hident look for there is checked: ``input`` and ``output``
 (names of columns), ``units`` (of ``input``, ``output`` and ``time``), ``data`` (the SHA-256 of each file),
@@ -37,7 +39,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PlainVa
 
 from hident.block_chain import Block, BlockChain, settled_state
 from hident.config.load import Document, Problem, problems_of
-from hident.config.spec import Count, NonEmpty, Spec, plain
+from hident.config.spec import Count, NonEmpty, Spec, canonical, plain
 from hident.config.suggest import did_you_mean, one_of
 from hident.config.yaml12 import Location
 from hident.errors import ConfigError
@@ -53,6 +55,8 @@ from hident.static_functions import (
     Saturation,
     StaticFunction,
 )
+from hident.systems.base import NonlinearitySpec, OfStatic
+from hident.systems.function_basis import Functions
 
 VERSION = 1
 LARGEST = 2**22
@@ -265,6 +269,33 @@ class _CubicSpline(_Static):
         return CubicSpline(self.knots)
 
 
+# JSON has no infinity: limits of functions are written as in a configuration.
+_LIMITS = {".inf": math.inf, "-.inf": -math.inf}
+
+
+def _with_limits(function: Any) -> Any:
+    """A function as it is read, with the limits that JSON has as texts."""
+    if not isinstance(function, Mapping):
+        return function
+    return {key: _LIMITS.get(item, item) if isinstance(item, str) else item for key, item in function.items()}
+
+
+def _as_texts(function: Any) -> Any:
+    """A function as it is written: :func:`_with_limits` the other way round."""
+    names = {value: name for name, value in _LIMITS.items()}
+    return {key: names.get(item, item) if isinstance(item, float) else item for key, item in function.items()}
+
+
+class _Expansion(_Static):
+    kind: ClassVar[str] = Functions.kind
+    functions: NonEmpty[Annotated[NonlinearitySpec, OfStatic(), BeforeValidator(_with_limits)]]
+    low: _Number
+    high: _Number
+
+    def basis(self) -> Functions:
+        return Functions(self.functions, self.low, self.high)
+
+
 _KINDS: dict[str, type[_Block]] = {
     cls.kind: cls
     for cls in (
@@ -275,6 +306,7 @@ _KINDS: dict[str, type[_Block]] = {
         _CubicSpline,
         _Saturation,
         _DeadZone,
+        _Expansion,
     )
 }
 
@@ -371,6 +403,10 @@ def _entry(block: Block) -> dict[str, Any]:
     if isinstance(block, TransferFunction):
         return {"kind": _Linear.kind, "b": block.b, "a": block.a}
     basis: Any = block.basis
+    if isinstance(basis, Functions):
+        functions = [_as_texts(canonical(function)) for function in basis.functions]
+        ends = {"low": basis.low, "high": basis.high}
+        return {"kind": basis.kind, "functions": functions, **ends, "coefficients": block.coefficients}
     keys = [key for key in _KINDS[basis.kind].model_fields if key not in _Static.model_fields]
     return {
         "kind": basis.kind,

@@ -6,6 +6,8 @@ of any basis is one of three curves between two ends, and a line of a slope of i
     broken line        between points (knots, values); a saturation and a dead zone are such
     cubic pieces       d_0 + d_1 s + d_2 s^2 + d_3 s^3 with s = x - knot, on each piece
     Chebyshev sum      sum_k c_k T_k(t) with t = (2 x - low - high)/(high - low)
+
+Functions that a user gave are formulas, which hold everywhere.
 """
 
 from __future__ import annotations
@@ -27,6 +29,8 @@ from hident.static_functions import (
     Saturation,
     StaticFunction,
 )
+from hident.systems.base import NonlinearitySpec
+from hident.systems.function_basis import Functions
 
 Row = tuple[float, ...]
 
@@ -76,7 +80,15 @@ class ChebyshevSum(Curve):
     coefficients: Row
 
 
-PlainBlock = Filter | BrokenLine | CubicPieces | ChebyshevSum
+@dataclass(frozen=True)
+class FormulaSum:
+    """A sum of formulas in u, as configurations write them, each times a coefficient."""
+
+    functions: tuple[str, ...]
+    coefficients: Row
+
+
+PlainBlock = Filter | BrokenLine | CubicPieces | ChebyshevSum | FormulaSum
 
 
 def plain_blocks(model: FittedModel) -> tuple[PlainBlock, ...]:
@@ -96,7 +108,8 @@ def plain_blocks(model: FittedModel) -> tuple[PlainBlock, ...]:
                 if isinstance(block, TransferFunction)
                 else as_curve(block)
             )
-        if not all(np.all(np.isfinite(numbers)) for numbers in vars(found[-1]).values()):
+        numbers = {key: value for key, value in vars(found[-1]).items() if key != "functions"}
+        if not all(np.all(np.isfinite(value)) for value in numbers.values()):
             raise ConfigError(
                 f"the numbers of {name} are too large to be converted: a slope or state overflows"
             )
@@ -114,7 +127,7 @@ def as_filter(block: TransferFunction, *, settled: bool) -> Filter:
     return Filter(_row(b), _row(a), _row(state))
 
 
-def as_curve(function: StaticFunction) -> BrokenLine | CubicPieces | ChebyshevSum:
+def as_curve(function: StaticFunction) -> BrokenLine | CubicPieces | ChebyshevSum | FormulaSum:
     """The curve of a static function."""
     basis, c = function.basis, _row(function.coefficients)
     match basis:
@@ -130,7 +143,15 @@ def as_curve(function: StaticFunction) -> BrokenLine | CubicPieces | ChebyshevSu
         case Chebyshev():
             low, high = _row((basis.low, basis.high))
             return ChebyshevSum(*_end_slopes(function, (low, high)), low, high, c)
+        case Functions():
+            return FormulaSum(tuple(map(_formula, basis.functions)), c)
     raise ConfigError(f"a static function of the basis '{basis.kind}' cannot be converted")
+
+
+def _formula(function: NonlinearitySpec) -> str:
+    if (text := function.formula()) is None:
+        raise ConfigError(f"a function of the kind '{function.kind}' has no formula and cannot be converted")
+    return text
 
 
 def _end_slopes(function: StaticFunction, points: Row) -> tuple[float, float]:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
+from typing import Any
 
 from hident.fitted_model import FittedModel
 from hident.linear_blocks import TransferFunction
+from hident.models.formula_source import NUMPY, Language
 from hident.models.plain_blocks import (
     BrokenLine,
     ChebyshevSum,
     CubicPieces,
     Curve,
     Filter,
+    FormulaSum,
     PlainBlock,
     Row,
     plain_blocks,
@@ -49,6 +52,14 @@ def chebyshev_sum(x, left, right, low, high, coefficients):
 ''',
     ),
 }
+CURVES[FormulaSum] = (
+    "formulas",
+    '''\
+def formulas(x, functions, coefficients):
+    """A sum of functions."""
+    return sum((c * f(x) for c, f in zip(coefficients, functions)), np.zeros(np.shape(x)))
+''',
+)
 _BEYOND = '''\
 def beyond(x, low, high, left, right):
     """What lines of these slopes add beyond the ends."""
@@ -133,7 +144,7 @@ def curves(blocks: Iterable[PlainBlock]) -> list[str]:
     """The functions that compute the static blocks."""
     used = {type(block) for block in blocks}
     known = [source for kind, (_, source) in CURVES.items() if kind in used]
-    return [_BEYOND, *known] if known else []
+    return [*([_BEYOND] if used - {Filter, FormulaSum} else []), *known]
 
 
 def _response(model: FittedModel, blocks: Sequence[PlainBlock]) -> str:
@@ -146,12 +157,15 @@ def _response(model: FittedModel, blocks: Sequence[PlainBlock]) -> str:
     return "\n".join([*lines, "    return x", ""])
 
 
-def numbers(block: PlainBlock) -> dict[str, Row | float | tuple[Row, ...]]:
-    """The numbers of a block by the names of the parameters of its function."""
+def numbers(block: PlainBlock, language: Language = NUMPY) -> dict[str, Any]:
+    """The numbers of a block by the names of the parameters of its function; formulas in a language."""
     names = [field.name for field in fields(block)]
     if isinstance(block, Curve):
         assert names[:2] == ["left", "right"]
-    return {name: getattr(block, name) for name in names}
+    found = {name: getattr(block, name) for name in names}
+    if isinstance(block, FormulaSum):
+        found["functions"] = tuple(map(language.written, block.functions))
+    return found
 
 
 def as_rows(block: TransferFunction) -> tuple[Row, Row]:

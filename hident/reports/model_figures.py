@@ -87,7 +87,7 @@ def _static_function(axes: Axes, function: StaticFunction, fitted: tuple[float, 
         axes.plot(x[beyond], y[beyond], color=_CURVE["color"], linestyle=(0, (2, 2)), label=label)
     knots = np.asarray(getattr(basis, "knots", corners))
     knots = knots[(knots >= first) & (knots <= last)]
-    if basis.kind != "polynomial":
+    if hasattr(basis, "knots") or basis.shape:
         word = "knots" if hasattr(basis, "knots") else "corners"
         axes.plot(knots, function(knots), label=word, **{**ESTIMATE, "marker": "o", "linestyle": "none"})
     axes.set_xlim(first, last)
@@ -167,6 +167,7 @@ def _poles_zeros(model: FittedModel) -> Figure:
     for axes, (place, name) in zip(grid.flat, blocks, strict=False):
         block = model.chain.blocks[place]
         assert isinstance(block, TransferFunction)
+        found: list[Any]
         if isinstance(block, SampledTransferFunction):
             found = [block.continuous.poles(), block.continuous.zeros()]
             axes.axvline(0.0, **{**TRUE_LEVEL, "linewidth": 0.8})

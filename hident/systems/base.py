@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
 from hident.arrays import Array, Characteristic
+from hident.config.expression import Formula
 from hident.config.spec import Component, Of, Real
 from hident.linear_blocks import MOST_POLES
 from hident.records import Truth, Waveform
+
+_STEP = float(np.finfo(float).eps) ** (1.0 / 3.0)
 
 
 def _as_list(value: Any) -> Any:
@@ -47,6 +51,24 @@ class NonlinearitySpec(Component):
     def characteristic(self) -> Characteristic | None:
         """The function of the input that it is; None if it has memory."""
         return self
+
+    def formula(self) -> str | None:
+        """The characteristic as a formula in u, to the last digit of its numbers; None if it has none."""
+        return None
+
+    def slope(self, u: Array) -> Array:
+        """The derivative of the characteristic at ``u``, of its shape; at a bend that of one side.
+
+        That of the formula is exact. Without one it is a difference quotient, good to ten digits or so of a
+        smooth characteristic.
+        """
+        u = np.asarray(u, dtype=float)
+        if (text := self.formula()) is not None:
+            return np.full(u.shape, Formula(text, ("u",)).slope("u", u=u), dtype=float)
+        # The error of the quotient and that of rounding are about equal.
+        step = _STEP * np.maximum(np.abs(u), 1.0)
+        above, below = u + step, u - step
+        return np.asarray((self(above) - self(below)) / (above - below))
 
     def coefficients_by_power(self) -> dict[int, float]:
         """The coefficients of a polynomial by power; empty for any other characteristic."""

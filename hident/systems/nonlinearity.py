@@ -15,6 +15,16 @@ from hident.config.expression import Formula
 from hident.config.spec import Count, Limit, Real, component
 from hident.systems.base import Coefficients, NonlinearitySpec
 
+# A polynomial or a broken line of more numbers is no formula that anybody reads.
+_LONGEST = 12
+
+
+def _clipped(low: float, high: float) -> str:
+    """The formula of u between two limits, one of which may be infinite."""
+    if math.isinf(low):
+        return f"minimum(u, {high!r})"
+    return f"maximum(u, {low!r})" if math.isinf(high) else f"clip(u, {low!r}, {high!r})"
+
 
 class _BreaksAtZero(NonlinearitySpec):
     def break_points(self) -> tuple[float, ...]:
@@ -34,6 +44,9 @@ class Identity(NonlinearitySpec):
     def __call__(self, u: Array) -> Array:
         return np.positive(u)
 
+    def formula(self) -> str:
+        return "u"
+
 
 @component("nonlinearity", "abs")
 class Abs(_BreaksAtZero):
@@ -48,6 +61,9 @@ class Abs(_BreaksAtZero):
     def __call__(self, u: Array) -> Array:
         return np.abs(u)
 
+    def formula(self) -> str:
+        return "abs(u)"
+
 
 @component("nonlinearity", "sign")
 class Sign(_BreaksAtZero):
@@ -61,6 +77,9 @@ class Sign(_BreaksAtZero):
 
     def __call__(self, u: Array) -> Array:
         return np.sign(u)
+
+    def formula(self) -> str:
+        return "sign(u)"
 
 
 @component("nonlinearity", "power")
@@ -86,6 +105,9 @@ class Power(NonlinearitySpec):
     def __call__(self, u: Array) -> Array:
         return u**self.exponent
 
+    def formula(self) -> str:
+        return f"u**{self.exponent}"
+
 
 @component("nonlinearity", "polynomial")
 class Polynomial(NonlinearitySpec):
@@ -102,6 +124,13 @@ class Polynomial(NonlinearitySpec):
 
     def __call__(self, u: Array) -> Array:
         return np.asarray(polyval(u, self.coefficients))
+
+    def formula(self) -> str | None:
+        # By Horner's rule, as polyval has it.
+        text = repr(self.coefficients[-1])
+        for c in self.coefficients[-2::-1]:
+            text = f"{c!r} + u*({text})"
+        return text if len(self.coefficients) <= _LONGEST else None
 
     def coefficients_by_power(self) -> dict[int, float]:
         return dict(enumerate(self.coefficients))
@@ -124,6 +153,9 @@ class Exponential(NonlinearitySpec):
 
     def __call__(self, u: Array) -> Array:
         return self.scale * np.exp(self.rate * u)
+
+    def formula(self) -> str:
+        return f"{self.scale!r}*exp({self.rate!r}*u)"
 
 
 def _as_point(value: Any) -> Any:
@@ -173,6 +205,20 @@ class PiecewiseLinear(NonlinearitySpec):
         outside = slopes[0] * np.minimum(u - knots[0], 0.0) + slopes[-1] * np.maximum(u - knots[-1], 0.0)
         return np.asarray(np.interp(u, knots, values) + outside)
 
+    def slope(self, u: Array) -> Array:
+        knots = np.array(self.points)[:, 0]
+        return np.asarray(self._slopes()[np.searchsorted(knots, u, side="right")])
+
+    def formula(self) -> str | None:
+        if len(self.points) > _LONGEST:
+            return None
+        slopes = self._slopes().tolist()
+        (first, value), (last, _) = self.points[0], self.points[-1]
+        terms = [f"{value!r} + {slopes[0]!r}*minimum(u - {first!r}, 0)"]
+        for (left, _), (right, _), slope in zip(self.points, self.points[1:], slopes[1:], strict=False):
+            terms.append(f"{slope!r}*(clip(u, {left!r}, {right!r}) - {left!r})")
+        return " + ".join([*terms, f"{slopes[-1]!r}*maximum(u - {last!r}, 0)"])
+
     def break_points(self) -> tuple[float, ...]:
         slopes = self._slopes()
         bends = ~np.isclose(slopes[:-1], slopes[1:], rtol=1e-12, atol=0.0)
@@ -214,6 +260,9 @@ class Saturation(_Interval):
     def __call__(self, u: Array) -> Array:
         return self.gain * np.clip(u, self.low, self.high)
 
+    def formula(self) -> str:
+        return f"{self.gain!r}*{_clipped(self.low, self.high)}"
+
 
 @component("nonlinearity", "dead_zone")
 class DeadZone(_Interval):
@@ -227,6 +276,9 @@ class DeadZone(_Interval):
 
     def __call__(self, u: Array) -> Array:
         return self.gain * (u - np.clip(u, self.low, self.high))
+
+    def formula(self) -> str:
+        return f"{self.gain!r}*(u - {_clipped(self.low, self.high)})"
 
 
 @component("nonlinearity", "expression")
@@ -257,6 +309,9 @@ class Expression(NonlinearitySpec):
     def __call__(self, u: Array) -> Array:
         return np.full(u.shape, self._formula(u=u), dtype=float)
 
+    def formula(self) -> str:
+        return self.expression
+
     def break_points(self) -> tuple[float, ...]:
         return tuple(sorted(set(self.breaks)))
 
@@ -273,6 +328,9 @@ class Mzyk2009(_BreaksAtZero):
 
     def __call__(self, u: Array) -> Array:
         return (0.5 + np.sign(u)) * (np.abs(u) - np.pi) + 2.0 * np.sin(u)
+
+    def formula(self) -> str:
+        return "(0.5 + sign(u))*(abs(u) - pi) + 2*sin(u)"
 
 
 def _wigren(u: Array, d: float) -> Array:
@@ -296,6 +354,9 @@ class ChenType1(NonlinearitySpec):
     def __call__(self, u: Array) -> Array:
         return _wigren(u, 0.1)
 
+    def formula(self) -> str:
+        return "u/sqrt(0.1 + 0.9*u**2)"
+
 
 @component("nonlinearity", "chen_type_2", source="Chen, Hwang, Chang 2009, example 1")
 class ChenType2(NonlinearitySpec):
@@ -309,6 +370,9 @@ class ChenType2(NonlinearitySpec):
 
     def __call__(self, u: Array) -> Array:
         return _soft_dead_zone(u)
+
+    def formula(self) -> str:
+        return "u**2*(exp(0.7*u) - 1)"
 
 
 @component("nonlinearity", "chen_type_3", source="Chen, Hwang, Chang 2009, example 2")
@@ -324,6 +388,10 @@ class ChenType3(_BreaksAtZero):
     def __call__(self, u: Array) -> Array:
         # Both vanish at zero, and exp never sees a large positive argument.
         return _wigren(np.maximum(u, 0.0), 0.1) + _soft_dead_zone(np.minimum(u, 0.0))
+
+    def formula(self) -> str:
+        above, below = "maximum(u, 0)", "minimum(u, 0)"
+        return f"{above}/sqrt(0.1 + 0.9*{above}**2) + {below}**2*(exp(0.7*{below}) - 1)"
 
 
 @component("nonlinearity", "chen_type_4", source="Chen, Hwang, Chang 2009, example 2")
@@ -348,3 +416,6 @@ class ChenType4(NonlinearitySpec):
 
     def __call__(self, u: Array) -> Array:
         return _wigren(u, self.d)
+
+    def formula(self) -> str:
+        return f"u/sqrt({self.d!r} + 0.9*u**2)"

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from hident.arrays import Array
+from hident.config.expression import Formula
 from hident.records import Truth, Waveform
 from hident.signals.base import ExcitationSpec, NoiseSpec
 from hident.systems.base import MemorySpec, NonlinearitySpec, SystemSpec
@@ -47,6 +48,31 @@ class NonlinearityContract(Contract):
     def names_its_break_points_in_increasing_order(self) -> None:
         found = self.component.break_points()
         must(all(a < b for a, b in pairwise(found)), f"the break points {found} do not increase")
+
+    def is_what_its_formula_says(self) -> None:
+        if (text := self.component.formula()) is not None:
+            said = np.full(_POINTS.shape, Formula(text, ("u",))(u=_POINTS), dtype=float)
+            np.testing.assert_allclose(
+                said,
+                self.component(_POINTS),
+                rtol=1e-12,
+                atol=1e-12,
+                err_msg="its formula is another function",
+            )
+
+    def has_the_slope_of_its_values(self) -> None:
+        step = 1e-6
+        corners = np.array([0.0, *self.component.break_points()])
+        points = _POINTS[np.min(np.abs(_POINTS[:, None] - corners), axis=1) > 2.0 * step]
+        quotients = (self.component(points + step) - self.component(points - step)) / (2.0 * step)
+        size = max(1.0, float(np.max(np.abs(quotients), initial=0.0)))
+        np.testing.assert_allclose(
+            self.component.slope(points),
+            quotients,
+            rtol=0.0,
+            atol=1e-6 * size,
+            err_msg="its slope is another",
+        )
 
 
 @dataclass(frozen=True)

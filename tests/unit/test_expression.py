@@ -203,3 +203,52 @@ def test_any_text_is_a_formula_or_refused(text):
         return
     value = np.asarray(formula(u=np.array([-1.0, 0.0, 2.0])), dtype=float)
     assert value.shape in ((), (3,))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(
+            f"{name}({', '.join(['0.3*u + 0.2', '0.4', '0.7'][:count])})"
+            for name, (_, count) in FUNCTIONS.items()
+        ),
+        "-u",
+        "+u",
+        "u - 2*u/3",
+        "u*u*u",
+        "1/u",
+        "u/(1 + u)",
+        "u**3",
+        "u**0",
+        "u**-1.5",
+        "2**u",
+        "u**u",
+        "(2*u)**(u + 1)",
+        "(u > 0.5)*u",
+        "where(u > 0.5, u**2, sin(3*u))",
+        "clip(2*u, 0.1*u, 1)",
+        "clip(0, u, 2)",
+        "minimum(u, u**2) + maximum(0.5, u)",
+        "exp(-abs(u - 0.37))*tanh(u)",
+        "3",
+    ],
+)
+def test_slopes_are_derivatives(text):
+    formula = Formula(text, ("u",))
+    u = np.array([0.05, 0.21, 0.36, 0.61, 0.83])
+    step = 1e-6
+    expected = (formula(u=u + step) - formula(u=u - step)) / (2.0 * step) + 0.0 * u
+    np.testing.assert_allclose(formula.slope("u", u=u) + 0.0 * u, expected, rtol=1e-8, atol=1e-8)
+
+
+def test_a_whole_power_has_a_slope_at_and_below_zero():
+    u = np.array([-2.0, 0.0, 1.5])
+    np.testing.assert_array_equal(Formula("u**3", ("u",)).slope("u", u=u), 3.0 * u**2)
+    np.testing.assert_array_equal(Formula("u**1", ("u",)).slope("u", u=u), np.ones(3))
+    np.testing.assert_array_equal(Formula("u**0", ("u",)).slope("u", u=u), np.zeros(3))
+
+
+def test_the_slope_by_one_of_several_variables():
+    assert Formula("a*u**2 + a", ("a", "u")).slope("u", a=3.0, u=2.0) == 12.0
+    assert Formula("a*u**2 + a", ("a", "u")).slope("a", a=3.0, u=2.0) == 5.0
+    assert Formula("a + 1", ("a", "u")).slope("u", a=3.0, u=2.0) == 0.0

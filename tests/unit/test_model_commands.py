@@ -124,11 +124,11 @@ CONTINUOUS = replace(
 
 def test_continuous_blocks_are_sampled_anew_at_another_interval(folder):
     hi.write_model(CONTINUOUS, folder / "tank.json")
-    done = run_forked("simulate tank.json tank.csv --dt 2 --out sim.csv".split(), folder)
+    done = run_forked(["simulate", "tank.json", "tank.csv", "--dt", "2", "--out", "sim.csv"], folder)
     assert done.returncode == 0
     assert done.stderr == (
-        "note: tank.csv is sampled every 2, and the model was fitted to samples every 4: its linear blocks are "
-        "continuous, and sampled anew\n"
+        "note: tank.csv is sampled every 2, and the model was fitted to samples every 4: its linear blocks "
+        "are continuous, and sampled anew\n"
     )
     columns = np.genfromtxt(folder / "sim.csv", delimiter=",", names=True)
     expected = CONTINUOUS.chain.every(2.0).response(U, "settled")

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from hident.arrays import Array
 from hident.block_chain import Block
-from hident.config.spec import Component, Count, Flag, Interval, Of, Real, component
+from hident.config.spec import Component, Count, Flag, Interval, NonEmpty, Of, Real, component
 from hident.estimators.prediction_error.continuous_structure import ContinuousStructure
 from hident.estimators.prediction_error.parameters import LinearStructure
 from hident.estimators.prediction_error.structure import StaticKind
@@ -27,9 +27,12 @@ from hident.static_functions import (
 )
 from hident.systems.base import NonlinearitySpec, OfStatic
 from hident.systems.continuous import ContinuousSpec
+from hident.systems.function_basis import Functions
 from hident.systems.linear import DiscreteSpec, LinearSpec
 
 _POINTS = 2001
+# Functions that a user gives have a unit of their own: where in it a signal lies is not known, nor its sign.
+_SPREADS = tuple(sign * size for size in (1.0, 0.3, 3.0, 0.1, 10.0) for sign in (1.0, -1.0))
 
 
 class BlockSpec(Component):
@@ -207,14 +210,18 @@ class StaticSpec(BlockSpec):
     def fewest_numbers(self) -> int:
         # A basis may take its knots from a few levels.
         x = np.array([0.0, 1.0])
-        basis = self.basis(x, 0.0, 1.0)
+        basis = self.basis_for(x, 0.0, 1.0)
         return len(basis.shape) + basis.size
 
     def is_fixed(self) -> bool:
         """Whether its range does not follow the signal."""
         return self.range is not None
 
-    def basis(self, x: Array, low: float, high: float) -> Basis:
+    def spreads(self) -> tuple[float, ...]:
+        """Standard deviations that its input is tried with at a start, where a block before can give any."""
+        return (1.0,)
+
+    def basis_for(self, x: Array, low: float, high: float) -> Basis:
         """The basis for a signal x (N,), which spans [low, high]."""
         return self._basis(x, *(self.range or (low, high)))
 
@@ -225,7 +232,7 @@ class StaticSpec(BlockSpec):
         if self.start is None or self.range is None:
             return None
         x = np.linspace(*self.range, _POINTS)
-        basis = self.basis(x, *self.range)
+        basis = self.basis_for(x, *self.range)
         if len(points := self.start.break_points()) == len(basis.shape) == 2:
             basis = basis.reshaped(points)
         coefficients = np.linalg.lstsq(basis.rows(x).T, self.start(x), rcond=None)[0]
@@ -238,7 +245,7 @@ class PolynomialBlock(StaticSpec):
 
     Examples
     --------
-    >>> PolynomialBlock(degree=3).basis(np.zeros(1), -1.0, 1.0).size
+    >>> PolynomialBlock(degree=3).basis_for(np.zeros(1), -1.0, 1.0).size
     4
     """
 
@@ -275,7 +282,7 @@ class PiecewiseLinearBlock(StaticSpec):
 
     Examples
     --------
-    >>> PiecewiseLinearBlock(knots=3).basis(np.linspace(0, 1, 9), 0.0, 1.0).knots
+    >>> PiecewiseLinearBlock(knots=3).basis_for(np.linspace(0, 1, 9), 0.0, 1.0).knots
     (0.0, 0.5, 1.0)
     """
 
@@ -293,7 +300,7 @@ class CubicSplineBlock(StaticSpec):
 
     Examples
     --------
-    >>> CubicSplineBlock(knots=3).basis(np.linspace(0, 1, 9), 0.0, 1.0).size
+    >>> CubicSplineBlock(knots=3).basis_for(np.linspace(0, 1, 9), 0.0, 1.0).size
     5
     """
 
@@ -302,6 +309,36 @@ class CubicSplineBlock(StaticSpec):
 
     def _basis(self, x: Array, low: float, high: float) -> Basis:
         return CubicSpline(_knots(x, low, high, self.knots, is_given=self.is_fixed()))
+
+
+@component("block", "expansion")
+class ExpansionBlock(StaticSpec):
+    """Sum of given functions with coefficients that are found; they hold beyond the signal as well.
+
+    Where they are no powers, abs or sign, the unit of their argument matters: a linear block before them
+    keeps its gain.
+
+    Examples
+    --------
+    >>> block = ExpansionBlock(basis=["identity", {"kind": "expression", "expression": "tanh(2*u)"}])
+    >>> block.basis_for(np.zeros(1), -1.0, 1.0).rows(np.array([0.5])).round(3)
+    array([[0.5  ],
+           [0.762]])
+    """
+
+    basis: NonEmpty[Annotated[NonlinearitySpec, OfStatic()]]
+    """The basis functions phi_1, ..., phi_m, e.g. [abs, {kind: expression, expression: tanh(2*u)}]."""
+    range: Interval | None = None
+    """Interval over which the nearest function to ``start`` is taken."""
+
+    def is_fixed(self) -> bool:
+        return True
+
+    def spreads(self) -> tuple[float, ...]:
+        return (1.0,) if Functions(self.basis, -1.0, 1.0).is_free_of_scale() else _SPREADS
+
+    def _basis(self, x: Array, low: float, high: float) -> Basis:
+        return Functions(self.basis, low, high)
 
 
 class _WithCorners(StaticSpec):
@@ -315,7 +352,7 @@ class SaturationBlock(_WithCorners):
 
     Examples
     --------
-    >>> SaturationBlock().basis(np.linspace(-2, 2, 101), -2.0, 2.0).kind
+    >>> SaturationBlock().basis_for(np.linspace(-2, 2, 101), -2.0, 2.0).kind
     'saturation'
     """
 
@@ -329,7 +366,7 @@ class DeadZoneBlock(_WithCorners):
 
     Examples
     --------
-    >>> DeadZoneBlock().basis(np.linspace(-2, 2, 101), -2.0, 2.0).kind
+    >>> DeadZoneBlock().basis_for(np.linspace(-2, 2, 101), -2.0, 2.0).kind
     'dead_zone'
     """
 

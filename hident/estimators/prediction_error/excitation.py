@@ -26,7 +26,10 @@ def require_excitation(structure: ChainStructure, data: Data) -> None:
     """
     few = data.first(_SAMPLES)
     noise = np.random.default_rng(0).standard_normal(len(few.u))
-    wanted = structure.made(few, _generic(structure), {}).count()
+    try:
+        wanted = structure.made(few, _generic(structure), {}).count()
+    except ValueError as error:
+        raise EstimationError(str(error)) from None
     if wanted > data.count:
         raise EstimationError(f"{wanted} numbers are to be found, and {data.count} samples count")
     got, possible = (_rank(structure, one) for one in (few, replace(few, u=noise)))

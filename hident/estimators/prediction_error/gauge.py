@@ -6,11 +6,13 @@
   as far as a factor and a constant can do it: what stands behind it has the unit of the input. A function
   with nearly equal values at both ends goes from 0 to 1 instead.
 - A chain of linear blocks only keeps the factor in the last.
+- Functions that hold in a unit of their own take no factor in their argument: it stays in the block before.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 
@@ -34,11 +36,16 @@ def normalised(chain: BlockChain, held: frozenset[int] = frozenset(), start: Sta
     for i, block in enumerate(blocks):
         if not isinstance(block, TransferFunction) or i in held:
             continue
-        target = _receiver(blocks, i, held)
-        if target is not None:
-            gain = gain_of(block)
-            blocks[i] = block.divided(gain)
-            blocks[target] = _taken(blocks[target], gain, is_behind=target > i)
+        gain: float | None = None
+        for target in _receivers(blocks, i, held):
+            gain = gain_of(block) if gain is None else gain
+            try:
+                taken = _taken(blocks[target], gain, is_behind=target > i)
+            except ValueError:
+                # Its functions have a unit of their own.
+                continue
+            blocks[i], blocks[target] = block.divided(gain), taken
+            break
     static = [i for i, block in enumerate(blocks) if isinstance(block, StaticFunction)]
     for i, j in pairwise(static):
         if i in held or j in held:
@@ -51,8 +58,13 @@ def normalised(chain: BlockChain, held: frozenset[int] = frozenset(), start: Sta
         factor, offset = _line(first)
         if start == "rest" or not all(np.isclose(block.static_gain(), 1.0) for block in between):
             offset, gain = 0.0, 1.0
-        blocks[i] = first.scaled(factor, offset)
-        blocks[j] = second.moved(factor, offset * gain)
+        for added in (offset, 0.0):
+            try:
+                pair = first.scaled(factor, added), second.moved(factor, added * gain)
+            except ValueError:
+                continue
+            blocks[i], blocks[j] = pair
+            break
     return replace(chain, blocks=tuple(blocks))
 
 
@@ -68,16 +80,15 @@ def gain_of(block: TransferFunction) -> float:
     return float(np.copysign(np.linalg.norm(impulse), first)) or 1.0
 
 
-def _receiver(blocks: list[Block], i: int, held: frozenset[int]) -> int | None:
-    """Which block takes the factor of the linear block i; None if it stays."""
+def _receivers(blocks: list[Block], i: int, held: frozenset[int]) -> Iterator[int]:
+    """Which blocks can take the factor of the linear block i, the first of all before the others."""
     behind = next((j for j in range(i + 1, len(blocks)) if isinstance(blocks[j], StaticFunction)), None)
     before = next((j for j in range(i - 1, -1, -1) if isinstance(blocks[j], StaticFunction)), None)
     for place in (behind, before):
         if place is not None and place not in held:
-            return place
+            yield place
     if behind is None and before is None and i + 1 < len(blocks) and i + 1 not in held:
-        return i + 1
-    return None
+        yield i + 1
 
 
 def _taken(block: Block, gain: float, *, is_behind: bool) -> Block:

@@ -102,8 +102,16 @@ class PredictionError(AtOneInterval):
 
     def free_parameters(self) -> int:
         # The gain of each linear block is one with a static function, unless a block is held.
-        gains = len(self._places()) if len(self._places()) < len(self.blocks) else 0
+        gains = len(self._places()) - self._kept_gains() if len(self._places()) < len(self.blocks) else 0
         return self._count() - (0 if any(block.held for block in self.blocks) else gains)
+
+    def _kept_gains(self) -> int:
+        """How many linear blocks keep their gain: before the first static one, of functions with a unit."""
+        first = next((i for i, block in enumerate(self.blocks) if isinstance(block, StaticSpec)), None)
+        if first is None:
+            return 0
+        block = self.blocks[first]
+        return first if isinstance(block, StaticSpec) and len(block.spreads()) > 1 else 0
 
     def _places(self) -> dict[int, str]:
         """What the names of each block's values begin with: nothing where there is one of its sort."""
@@ -141,7 +149,7 @@ class PredictionError(AtOneInterval):
             raise ValueError("a continuous block needs the sampling interval 'dt' of the data")
 
     def normalisations(self) -> tuple[Normalisation, ...] | None:
-        if any(block.held for block in self.blocks):
+        if any(block.held for block in self.blocks) or self._kept_gains():
             return None
         rule = unit_static_gain("b l1_b l2_b l3_b")
         # The orders of two linear blocks with a nonlinearity between them say which of them has a delay.

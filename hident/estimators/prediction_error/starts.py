@@ -41,18 +41,39 @@ def starts(structure: ChainStructure, data: Data) -> list[Point]:
     few = data.first(_SCORED)
     found = [*_splits_of_approximation(structure, data, few), *_overparameterised(structure, data, few)]
     found += _of_the_kernel(structure, data, few)
-    return sorted(found, key=lambda point: point.loss)
+    found.sort(key=lambda point: point.loss)
+    return _spread_out(structure, found[0], few) if found and len(structure.spreads()) > 1 else found
 
 
-def scored(structure: ChainStructure, linear: Mapping[int, TransferFunction], few: Data) -> Point | None:
-    """The point of these linear blocks, with the static ones as they come; None if it is not finite."""
+def scored(
+    structure: ChainStructure,
+    linear: Mapping[int, TransferFunction],
+    few: Data,
+    spreads: Sequence[float] | None = None,
+) -> Point | None:
+    """The point of these linear blocks, with the static ones as they come; None if it is not finite.
+
+    Of several spreads before a static block, by default all that it tries, it is the best one's.
+    """
     if not all(one.is_stable() for one in linear.values() if one.a):
         return None
-    try:
-        parameters = structure.made(few, linear, {})
-    except ValueError:
-        return None
-    return point_at(few, parameters)
+    best: Point | None = None
+    for spread in structure.spreads() if spreads is None else spreads:
+        try:
+            point = point_at(few, structure.made(few, linear, {}, spread))
+        except ValueError:
+            continue
+        if point is not None and (best is None or point.loss < best.loss):
+            best = point
+    return best
+
+
+def _spread_out(structure: ChainStructure, best: Point, few: Data) -> list[Point]:
+    """The start with each spread of the signal before a static block: the loss does not tell its sign yet."""
+    blocks = best.parameters.chain.blocks
+    linear = {i: one for i in structure.linear if isinstance(one := blocks[i], TransferFunction)}
+    points = [scored(structure, linear, few, (spread,)) for spread in structure.spreads()]
+    return sorted((point for point in points if point is not None), key=lambda point: point.loss)
 
 
 def _splits_of_approximation(structure: ChainStructure, data: Data, few: Data) -> Iterator[Point]:
@@ -133,7 +154,7 @@ def _overparameterised(structure: ChainStructure, data: Data, few: Data) -> Iter
     low, high = float(np.min(data.u)), float(np.max(data.u))
     if not high > low:
         return
-    basis = kind.basis(data.u, low, high)
+    basis = kind.basis_for(data.u, low, high)
     phi = basis.rows(data.u)
     # The constant is a column of its own: functions that sum to one would repeat it.
     phi = phi - phi.mean(axis=1, keepdims=True)

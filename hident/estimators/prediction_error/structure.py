@@ -27,22 +27,28 @@ _SMOOTH = 3
 class StaticKind(Protocol):
     """A kind of static function, which makes its basis for the signal that it meets."""
 
-    def basis(self, x: Array, low: float, high: float) -> Basis:
+    def basis_for(self, x: Array, low: float, high: float) -> Basis:
         """The basis for a signal x (N,), which spans [low, high]."""
 
     def is_fixed(self) -> bool:
         """Whether its range was given, and does not follow the signal."""
+
+    def spreads(self) -> tuple[float, ...]:
+        """Standard deviations that its input is tried with at a start, where a block before can give any."""
 
 
 @dataclass(frozen=True)
 class _Smooth:
     """A polynomial of low degree."""
 
-    def basis(self, x: Array, low: float, high: float) -> Basis:
+    def basis_for(self, x: Array, low: float, high: float) -> Basis:
         return Chebyshev(_SMOOTH, low, high)
 
     def is_fixed(self) -> bool:
         return False
+
+    def spreads(self) -> tuple[float, ...]:
+        return (1.0,)
 
 
 @dataclass(frozen=True)
@@ -97,7 +103,7 @@ class ChainStructure:
         def is_rich(i: int, block: LinearStructure | StaticKind) -> bool:
             if isinstance(block, LinearStructure) or i in self.given or block.is_fixed():
                 return False
-            return block.basis(u, float(np.min(u)), float(np.max(u))).size > _SMOOTH + 1
+            return block.basis_for(u, float(np.min(u)), float(np.max(u))).size > _SMOOTH + 1
 
         rich = [is_rich(i, block) for i, block in enumerate(self.blocks)]
         if not any(rich):
@@ -105,11 +111,28 @@ class ChainStructure:
         blocks = (_Smooth() if one else block for one, block in zip(rich, self.blocks, strict=True))
         return replace(self, blocks=tuple(blocks))
 
-    def made(self, data: Data, linear: Mapping[int, TransferFunction], functions: Functions) -> Parameters:
+    def spreads(self) -> tuple[float, ...]:
+        """Standard deviations that the signals before free static blocks are tried with at a start."""
+        tried = {
+            spread: None
+            for i, block in enumerate(self.blocks)
+            if i and i in self.free_static and not isinstance(block, LinearStructure)
+            for spread in block.spreads()
+        }
+        return tuple(tried) or (1.0,)
+
+    def made(
+        self,
+        data: Data,
+        linear: Mapping[int, TransferFunction],
+        functions: Functions,
+        spread: float = 1.0,
+    ) -> Parameters:
         """The parameters with these linear blocks, ranges after the signals, and functions for static blocks.
 
         A static block of which no function is said is the identity; the last one will be solved for. What
-        stands before a static block of which nothing is said is scaled to a standard deviation of one.
+        stands before a static block of which nothing is said is scaled to a standard deviation of one, or to
+        ``spread`` (and turned round if that is negative) before a block that tries several.
         """
         blocks: list[Block] = []
         x = data.u
@@ -120,8 +143,10 @@ class ChainStructure:
                 y = data.through(made, x)
                 is_before_static = i + 1 < len(self.blocks) and i + 1 in self.static
                 scale = float(np.std(y[data.counted]))
+                if is_before_static and self._tries_several(i + 1):
+                    scale /= spread
                 is_met = i + 1 in self.given or functions.get(i + 1) is not None
-                if i not in self.given and is_before_static and not is_met and scale > 0.0:
+                if i not in self.given and is_before_static and not is_met and scale != 0.0:
                     made = made.divided(scale)
                     y = y / scale
                 x = y
@@ -132,6 +157,10 @@ class ChainStructure:
                 x = function(x)
             blocks.append(made)
         return Parameters.of(self.blocks, BlockChain(tuple(blocks)), tuple(self.held))
+
+    def _tries_several(self, i: int) -> bool:
+        block = self.blocks[i]
+        return not isinstance(block, LinearStructure) and len(block.spreads()) > 1
 
     def after(self, blocks: Mapping[int, Block], data: Data) -> Parameters:
         """As :meth:`made`, from the blocks of another chain by their places in this one."""
@@ -160,6 +189,9 @@ def fitted(kind: StaticKind, x: Array, function: object, data: Data) -> StaticFu
     """The function of this kind that is nearest to another on a signal x (N,); to the identity if None."""
     low, high = float(np.min(x[data.counted])), float(np.max(x[data.counted]))
     margin = _MARGIN * (high - low) or 1.0
-    basis = kind.basis(x[data.counted], low - margin, high + margin)
+    basis = kind.basis_for(x[data.counted], low - margin, high + margin)
+    rows = basis.rows(x)
+    if wrong := len(x) - int(np.count_nonzero(np.all(np.isfinite(rows), axis=0))):
+        raise ValueError(f"a static function is not finite at {wrong} of {len(x)} samples of its input")
     target = function(x) if isinstance(function, StaticFunction) else x
-    return StaticFunction(basis, tuple(solved(basis.rows(x), target, data).tolist()))
+    return StaticFunction(basis, tuple(solved(rows, target, data).tolist()))
