@@ -60,6 +60,20 @@ def compared_values(metric: MetricSpec) -> list[str]:
     return sorted(part.removeprefix("value ") for part in parts if part.startswith("value "))
 
 
+def unsaid(names: Iterable[str], estimator: EstimatorSpec) -> list[str]:
+    """The coefficients among values of an estimator of which it does not say what they are."""
+    given = estimator.letters()
+    return [
+        name for name in names if (match := _COEFFICIENT.fullmatch(name)) and match["letter"] not in given
+    ]
+
+
+def quantity_of(name: str, estimator: EstimatorSpec) -> str | None:
+    """What a value of an estimator is, if it is a coefficient and that is said."""
+    match = _COEFFICIENT.fullmatch(name)
+    return None if match is None else _letters_of(estimator).get(match["letter"])
+
+
 def other_quantities(
     names: Iterable[str], estimator: EstimatorSpec, truth: Truth
 ) -> dict[str, tuple[str, str]]:
@@ -164,9 +178,12 @@ def form_of(
 ) -> Truth:
     """The truth in the estimator's form, as far as there is one: what a figure shows beside its estimates.
 
-    Without the values that are other quantities than the estimator's of their names.
+    Without the values that are other quantities than the estimator's of their names, or of which that does
+    not say what they are.
     """
-    if others := other_quantities(truth.values, estimator, truth):
+    given = estimator.provides()
+    own = [name for name in truth.values if f"value {name}" in given]
+    if others := {*other_quantities(truth.values, estimator, truth), *unsaid(own, estimator)}:
         values = {name: value for name, value in truth.values.items() if name not in others}
         truth = replace(truth, values=values)
     rules = [rule.of(estimate) for rule in estimator.normalisations() or ()]
@@ -219,7 +236,7 @@ def _unkept(
         brought(system.truth(), [rule for rule, _ in rules], dt)
     except ValueError as error:
         named = one_of(dict.fromkeys(part.removeprefix("value ") for _, parts in rules for part in parts))
-        said = " and ".join(f"'{rule.rule}'" for rule, _ in rules)
+        said = " and ".join(f"'{rule.said(system.truth(), dt)}'" for rule, _ in rules)
         yield (
             f"compares absolute values ({named}), and no data determine the factor between the blocks: "
             f"estimator '{name}' ({estimator.kind}) fixes it by the rule {said}; "

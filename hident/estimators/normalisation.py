@@ -48,6 +48,7 @@ class Normalisation:
     the system does not say, and raises ValueError if nothing brings the system to the rule. ``free`` is what
     no data determine of these parts; ``left`` is what of it the method does not fix either. ``found`` gives
     the rule of one estimate, where that depends on what was found, such as a delay; None: all have this one.
+    ``says`` gives the rule in words where these depend on the system; None: ``rule`` of all.
     """
 
     rule: str
@@ -56,6 +57,11 @@ class Normalisation:
     free: frozenset[Freedom] = frozenset({"gain", "sign"})
     left: frozenset[Freedom] = frozenset()
     found: Callable[[Estimate], Normalisation] | None = None
+    says: Callable[[Truth, float | None], str] | None = None
+
+    def said(self, truth: Truth, dt: float | None) -> str:
+        """The rule in words, for the estimates of a system."""
+        return self.rule if self.says is None else self.says(truth, dt)
 
     def governs(self, part: str) -> bool:
         """Whether a part, such as ``nonlinearity`` or ``value b_1``, depends on the rule."""
@@ -252,6 +258,24 @@ def behind_found(
         return replace(known, factors=factors)
 
     return replace(known, found=found)
+
+
+def behind_noticed(
+    rule: Normalisation, delay_of: Callable[[Estimate], int | None], largest: int
+) -> Normalisation:
+    """A rule for the impulse response, from the lag on that an estimate has noticed though none was given.
+
+    It says so where a system shows more than twice as much of an earlier input, up to ``largest`` samples,
+    as of the newest: beside less, the newest is not overlooked.
+    """
+    noticed = behind_found(rule, delay_of, responses=True)
+
+    def says(truth: Truth, dt: float | None) -> str:
+        block = _discrete(truth, dt)
+        shown = np.ones(1) if block is None else block.impulse_response(largest + 1) ** 2
+        return noticed.rule if np.max(shown) > 2.0 * shown[0] else rule.rule
+
+    return replace(noticed, rule=rule.rule, says=says)
 
 
 def unit_slope(rule: str, values: str, *parts: str) -> Normalisation:

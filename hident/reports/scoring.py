@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from hident.config.suggest import one_of
-from hident.engine.comparable import completed, depends_on_estimate, governed, is_as_declared, moved
+from hident.engine.comparable import (
+    completed,
+    depends_on_estimate,
+    governed,
+    is_as_declared,
+    moved,
+    quantity_of,
+    unsaid,
+)
 from hident.engine.experiment import Plan, Unit
 from hident.metrics.base import Comparing, MetricSpec
 from hident.numerics.freedoms import in_words
@@ -49,6 +57,57 @@ def scoring(plan: Plan) -> Iterator[str]:
         yield f"Metric {name}: up to {words}, which the method leaves open ({one_of(estimators)})."
     for name, sentences in said.items():
         yield f"Metric {name}: {'; '.join(sentences)}."
+    yield from _by_name(plan)
+
+
+def _by_name(plan: Plan) -> Iterator[str]:
+    """Which coefficients stand beside others of their name that are, or may be, other quantities."""
+    quantities: dict[tuple[str, str], dict[str | None, list[str]]] = {}
+    systems: set[tuple[str, str]] = set()
+    for unit in plan.units:
+        true = unit.data.system.truth().values
+        for name, metric in unit.metrics.items():
+            for value in _coefficients(metric, unit):
+                one = name, value
+                _add(
+                    quantities.setdefault(one, {}).setdefault(quantity_of(value, unit.estimator), []),
+                    unit.name,
+                )
+                systems |= {one} if value in true else set()
+    notes: dict[tuple[str, str, str], list[str]] = {}
+    for (name, value), of in quantities.items():
+        for before, after in _doubts(of, (name, value) in systems):
+            _add(notes.setdefault((name, before, after), []), value)
+    for (name, before, after), values in notes.items():
+        yield f"Metric {name}: {before}: {one_of(values)}{after}."
+
+
+def _doubts(of: Mapping[str | None, list[str]], in_system: bool) -> Iterator[tuple[str, str]]:
+    """What is to be said of a name, given the estimators to which it is each quantity (None: not said).
+
+    It stands before and after the name.
+    """
+    known = {what: names for what, names in of.items() if what is not None}
+    if len(known) > 1:
+        each = "; ".join(f"{what} ({one_of(names)})" for what, names in known.items())
+        yield "several quantities have one name", f": {each}"
+    silent, others = of.get(None, []), [name for names in known.values() for name in names]
+    others += ["the system"] * in_system
+    if silent and len(silent) + len(others) > 1:
+        beside = f" with {one_of(others)}" if others else ""
+        yield (
+            "compared by name alone, as 'letters' does not say what they are",
+            f" of {one_of(silent)}{beside}",
+        )
+
+
+def _coefficients(metric: MetricSpec, unit: Unit) -> Iterator[str]:
+    """The coefficients of the estimate that a metric scores, without standard errors."""
+    for need in sorted(metric.needs_of_estimate()):
+        value = need.removeprefix("value ")
+        is_known = quantity_of(value, unit.estimator) is not None
+        if value != need and not value.startswith("se_") and (is_known or unsaid([value], unit.estimator)):
+            yield value
 
 
 def _add(names: list[str], name: str) -> None:
@@ -67,7 +126,7 @@ def _rules(unit: Unit, name: str) -> Iterator[str]:
             yield "not stated"
         return
     for rule, _ in governed(metric, estimator):
-        yield rule.rule
+        yield rule.said(unit.data.system.truth(), unit.data.dt)
 
 
 def _taken_off(metric: MetricSpec, unit: Unit) -> str:

@@ -11,6 +11,8 @@ import numpy as np
 
 from hident.arrays import Array
 from hident.config.spec import canonical
+from hident.config.suggest import one_of
+from hident.engine.comparable import unsaid
 from hident.engine.trial import Data, Job, estimate, run_trials
 from hident.errors import EstimationError
 from hident.estimators.base import EstimatorSpec
@@ -112,6 +114,14 @@ class EstimatorContract(Contract):
         must(says <= given, f"holds and names say {sorted(says - given)}, which the estimate lacks")
         wrong = [name for name, value in found.values.items() if not isinstance(value, float)]
         must(not wrong, f"the values {wrong} are no floats: self.named(...) makes them so")
+
+    def says_what_its_coefficients_are(self) -> None:
+        names = unsaid(self.component.names(), self.component)
+        must(
+            not names,
+            f"letters() does not say what {one_of(names)} are: they are compared by name alone with what may "
+            "be other quantities",
+        )
 
     def promises_dynamics_that_it_always_gives(self) -> None:
         must(

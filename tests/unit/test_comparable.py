@@ -18,6 +18,7 @@ from hident.estimators.base import EstimatorSpec
 from hident.estimators.normalisation import brought, first_coefficient, unit_slope, unit_static_gain
 from hident.metrics.nonlinearity import NonlinearityPercentError
 from hident.records import Estimate
+from hident.reports.base import FigureSpec
 from hident.reports.output import Outputs
 from hident.reports.scoring import scoring
 from tests.unit import plans
@@ -101,10 +102,10 @@ def test_another_split_of_the_gain_reads_a_few_per_cent_and_says_up_to_what(plan
     assert Outputs(plan, tmp_path / "out").write(results, {}) == ()
     assert (
         "Absolute values are compared in nonlinearity; the free factor between the blocks: |b| = 1, b_1 > 0 "
-        "(two-stage); gamma_0 = 1, a constant left in (kernel). The truth is brought to that form: linear "
-        "block divided by 2.236 (two-stage); linear block divided by 2 at the system's own delay (kernel). "
-        "Metric nonlinearity: up to "
-        "a constant, which the method leaves open (kernel)."
+        "(two-stage); gamma_0 = 1, a constant left in, lags counted from the delay found (kernel). The truth "
+        "is brought to that form: linear block divided by 2.236 (two-stage); linear block divided by 2 at "
+        "the system's own delay (kernel). "
+        "Metric nonlinearity: up to a constant, which the method leaves open (kernel)."
     ) in (tmp_path / "out" / "table.md").read_text(encoding="utf-8")
 
 
@@ -684,3 +685,68 @@ def test_a_score_from_python_with_the_estimator_is_refused_too():
     two_stage = hi.TwoStage(lags=3, degree=1)
     with pytest.raises(hi.ConfigError, match="have one name and are different quantities"):
         hi.score(hi.fit(two_stage, record), record, two_stage, a=hi.Error(of=["a_1"]))
+
+
+class _Unsaid(EstimatorSpec):
+    """Feedback by least squares, without a word on what a_1 is."""
+
+    def names(self):
+        return ["a_1"]
+
+    def fit(self, record, rng=None):
+        return Estimate(values={"a_1": hi.fit(hi.LeastSquares(order=1), record).values["a_1"]})
+
+
+@pytest.fixture
+def unsaid():
+    component("estimator", "unsaid")(
+        type("Unsaid", (_Unsaid,), {"__module__": __name__, "__doc__": "A sum."})
+    )
+    return "{kind: unsaid}"
+
+
+@pytest.mark.parametrize("metric", ["error", "value"])
+def test_what_an_estimator_does_not_say_stands_beside_the_system_s_with_a_word(plan_of, unsaid, metric):
+    """A plugin of old: its a_1 may be the coefficient of u, which the system's is not."""
+    plan = plan_of(discrete(WITH_FEEDBACK, unsaid, f"{{kind: {metric}, of: [a_1]}}"))
+    assert [said for said in scoring(plan) if "a_1" in said] == [
+        "Metric m: compared by name alone, as 'letters' does not say what they are: a_1 of e with the system."
+    ]
+    # Where there is no place for a word, as in a figure, there is no truth either.
+    assert "a_1" not in plan.units[0].truth().values
+    assert plan.units[0].truth().values["b_1"] == 2.0
+
+
+def _beside(*estimators, of="a_1"):
+    text = discrete(hammerstein("[0, 2, 1]", "abs"), "NONE", f"{{kind: value, of: [{of}]}}")
+    return text.replace("  e: NONE\n", "".join(f"  e{i}: {one}\n" for i, one in enumerate(estimators)))
+
+
+def test_values_of_one_name_stand_beside_each_other_with_a_word_where_they_may_differ(plan_of, unsaid):
+    voros, arx = VOROS, "{kind: least_squares, order: 1}"
+    feedback, powers = (
+        "coefficients of a discrete block's feedback",
+        "coefficients of the nonlinearity's powers",
+    )
+    by_name = "compared by name alone, as 'letters' does not say what they are: a_1 of"
+    several = f"several quantities have one name: a_1: {feedback} (e0); {powers} (e1)."
+    for estimators, said in (
+        ((voros, arx), []),
+        ((voros, TWO_STAGE), [several]),
+        ((unsaid,), []),
+        ((arx, unsaid), [f"{by_name} e1 with e0."]),
+        ((unsaid, unsaid), [f"{by_name} e0, e1."]),
+        ((voros, TWO_STAGE, unsaid), [several, f"{by_name} e2 with e0, e1."]),
+    ):
+        plan = plan_of(_beside(*estimators))
+        assert list(scoring(plan)) == [f"Metric m: {one}" for one in said]
+
+
+def test_a_figure_of_values_has_the_line_of_the_truth_only_if_it_is_one_for_all(plan_of):
+    figure = "figures: {f: {kind: parameters, metric: m, of: [b_1], estimators: [e0, e1]}}\n"
+    for second, shown in (("{kind: voros_hammerstein, n: 1, m: 2, degree: 3}", True), (TWO_STAGE, False)):
+        plan = plan_of(_beside(VOROS, second, of="b_1") + figure)
+        spec = plan.experiment.figures["f"]
+        assert isinstance(spec, FigureSpec)
+        (axes, *_) = spec.drawn(run(plan), ()).axes
+        assert ("truth" in axes.get_legend_handles_labels()[1]) == shown

@@ -24,7 +24,7 @@ import numpy as np
 
 from hident.config.spec import Real, component
 from hident.errors import EstimationError
-from hident.estimators.base import AtOneInterval, require_usable
+from hident.estimators.base import POWERS, AtOneInterval, require_usable
 from hident.metrics.base import MetricSpec
 from hident.records import Estimate
 from hident.signals.base import ExcitationSpec, NoiseSpec
@@ -44,6 +44,9 @@ class Slope(AtOneInterval):
 
     def names(self):
         return ["c_1"]
+
+    def letters(self):
+        return {"c": POWERS}
 
     def fit(self, record, rng=None):
         self.require_experiments(record)
@@ -83,6 +86,11 @@ _FAULTS = {
         "begin it with self.require_experiments(record)",
     ),
     "float": ("self.named(c)", '{"c_1": np.float32(c)}', "are no floats"),
+    "letters": (
+        '    def letters(self):\n        return {"c": POWERS}\n',
+        "",
+        "letters() does not say what c_1 are",
+    ),
     "summary": (", by least squares.", "", "must be a sentence of 10 to 100 characters"),
     "field": ('    """A factor."""\n', "", "Slope.weight: a text must stand under the field"),
     "batch": (

@@ -15,7 +15,7 @@ from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Of, Real, component
 from hident.config.suggest import did_you_mean, one_of
 from hident.errors import EstimationError
-from hident.estimators.base import CONTINUOUS, EstimatorSpec, Experiments, require_finite, with_errors
+from hident.estimators.base import CONTINUOUS, POWERS, EstimatorSpec, Experiments, require_finite, with_errors
 from hident.estimators.frequency.frequency_gain import FrequencyGains, frequency_gains
 from hident.estimators.frequency.gauge import AMBIGUITY, FrequencyGrid
 from hident.estimators.frequency.gauges import (
@@ -210,7 +210,7 @@ class FrequencyGainIdentification(EstimatorSpec):
         return [*with_errors(measured), *orders, *ranks, *tests]
 
     def letters(self) -> Mapping[str, str]:
-        return CONTINUOUS
+        return {**CONTINUOUS, "c": POWERS}
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         rule = unit_static_gain("c input_b output_b")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -12,7 +13,7 @@ from pydantic import Field
 from hident.arrays import Array, Flags
 from hident.config.spec import Count, Flag, Interval, Real, component
 from hident.errors import EstimationError
-from hident.estimators.base import EstimatorSpec, Experiments, require_finite, with_errors
+from hident.estimators.base import POWERS, EstimatorSpec, Experiments, require_finite, with_errors
 from hident.estimators.frequency.staircase_levels import (
     Levels,
     PolynomialFit,
@@ -91,6 +92,9 @@ class NonlinearityIdentification(EstimatorSpec):
 
     def fewest_samples(self) -> int:
         return 8 * (self.degree + 1)
+
+    def letters(self) -> Mapping[str, str]:
+        return {"c": POWERS}
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (unit_static_gain("c"),)

@@ -27,7 +27,13 @@ from hident.estimators.nonparametric.delay import (
     late,
     search_delay,
 )
-from hident.estimators.normalisation import Normalisation, behind, behind_found, first_coefficient
+from hident.estimators.normalisation import (
+    Normalisation,
+    behind,
+    behind_found,
+    behind_noticed,
+    first_coefficient,
+)
 from hident.linear_blocks import TransferFunction, significant
 from hident.numerics.parts import Parts, in_each, longer_than, whole
 from hident.numerics.rounding import apart
@@ -351,7 +357,7 @@ class NonparametricSpec(EstimatorSpec):
         plain = first_coefficient(symbol="gamma")
         rule = plain if self.known_point else plain.leaving("constant", says=", a constant left in")
         if self.delay is None:
-            return (replace(behind_found(rule, _noticed, responses=True), rule=rule.rule),)
+            return (behind_noticed(rule, _noticed, self.largest_delay),)
         if search:
             return (behind_found(rule, _searched, responses=True),)
         return (behind(rule, delay, responses=True),)
@@ -410,8 +416,8 @@ class NonparametricSpec(EstimatorSpec):
         return make() if self.prefilter.draws() else pairs.once(self._shared, make)
 
     def _search(self, record: Record, rng: np.random.Generator | None) -> DelaySearch:
-        def outputs(delay: int) -> Record:
-            pairs = delayed(record, delay, self.largest_delay)
+        def outputs(delay: int, first: int) -> Record:
+            pairs = delayed(record, delay, first)
             return pairs if self.prefilter is None else self._undone(pairs, rng)[1]
 
         make = partial(search_delay, outputs, self.largest_delay)

@@ -189,7 +189,8 @@ class VorosSpec(AtOneInterval):
     """Whether an iteration that has not converged by then counts as failed, or is kept as it is."""
 
     def letters(self) -> Mapping[str, str]:
-        return DISCRETE
+        of = "coefficients of the nonlinearity's powers where its argument is"
+        return {**DISCRETE, "f": f"{of} not negative", "g": f"{of} negative"}
 
     def identify(self, u: Array, y: Array, parts: Parts) -> Iterations:
         """The iterations for a decimated record of these experiments, theta = (a, b, f, g)."""

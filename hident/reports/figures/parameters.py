@@ -64,10 +64,11 @@ class ParameterFigure(FigureSpec):
                     printed = (theirs[id(series), "mean"], theirs.get((id(series), "std"), 0.0))
                     look |= {"markerfacecolor": "none", "alpha": 0.75}
                     axes.errorbar(i + 0.3, *printed, label=f"{estimator}, printed", **look)
-            unit = next(results.select(self.estimators[0], f"{self.metric} {name}")).unit
-            truth = unit.truth()
-            if name in truth.values:
-                axes.axhline(truth.values[name], label="truth", **TRUE_LEVEL)
+            units = (next(results.select(one, f"{self.metric} {name}")).unit for one in self.estimators)
+            # In the form of each: where one of them has another there is no one line.
+            true = {unit.truth().values.get(name) for unit in units}
+            if len(true) == 1 and (level := true.pop()) is not None:
+                axes.axhline(level, label="truth", **TRUE_LEVEL)
             axes.set_title(symbol(name))
             axes.set_xticks([])
             axes.set_xlim(-0.6, len(self.estimators) - 0.1)

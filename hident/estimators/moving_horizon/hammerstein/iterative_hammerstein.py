@@ -5,6 +5,7 @@ Chen, Hwang and Chang 2009. Stage 1 finds the static function, stage 2 the linea
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Annotated, ClassVar
 
@@ -14,6 +15,7 @@ from pydantic import Discriminator, Field
 from hident.arrays import Array
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
+from hident.estimators.base import FUNCTIONS, POWERS
 from hident.estimators.convergence import settle
 from hident.estimators.moving_horizon.hammerstein.stage import (
     FirstStage,
@@ -76,6 +78,12 @@ class IterativeHammerstein(IterativeSpec):
         ended = ["iterations", "converged"]
         found = [*self.stage_names(), *self.error_names(1), *coefficients, *ended, *points]
         return [*found, *self.constant_names()]
+
+    def letters(self) -> Mapping[str, str]:
+        return {
+            **super().letters(),
+            "c": FUNCTIONS if isinstance(self.nonlinearity, ThreeSegment) else POWERS,
+        }
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (unit_static_gain(),)

@@ -5,6 +5,7 @@ Chen, Hwang and Chang 2009. Stage 1 finds the nonlinearity, stage 2 the linear b
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, ClassVar
@@ -109,6 +110,9 @@ class IterativeWiener(IterativeSpec):
         errors = self.error_names(0) if isinstance(self.nonlinearity, FourSegmentSpec) else []
         ended = ["iterations", "converged"]
         return [*self.stage_names(), *self.nonlinearity.names(), *errors, *ended, *self.constant_names()]
+
+    def letters(self) -> Mapping[str, str]:
+        return {**super().letters(), **self.nonlinearity.letters()}
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         # The values are those of the iteration, which holds the inverse's slope e_1.

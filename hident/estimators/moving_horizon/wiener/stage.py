@@ -5,7 +5,7 @@ Chen, Hwang and Chang 2009, sections 4.2 and 5.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
@@ -16,6 +16,7 @@ from pydantic import Field
 from hident.arrays import Array, Characteristic, Flags
 from hident.config.spec import Count, Spec
 from hident.errors import EstimationError
+from hident.estimators.base import POWERS
 from hident.estimators.convergence import History
 from hident.estimators.moving_horizon.partition import Partition, require_inside
 from hident.estimators.moving_horizon.searches import PartitionSearch, best_pair
@@ -63,6 +64,10 @@ class FourSegmentSpec(Spec):
         """The names of all parameters."""
         return [*self.coefficients(), "y_-1", "y_1"]
 
+    def letters(self) -> Mapping[str, str]:
+        """What the coefficients are, by their letter."""
+        return {"e": "slopes of the inverse nonlinearity's segments"}
+
 
 class PolynomialSpec(Spec):
     """A polynomial y = x + c_2 x^2 + ... + c_p x^p (10)."""
@@ -79,6 +84,10 @@ class PolynomialSpec(Spec):
     def names(self) -> list[str]:
         """The names of all parameters."""
         return self.coefficients()
+
+    def letters(self) -> Mapping[str, str]:
+        """What the coefficients are, by their letter."""
+        return {"c": POWERS}
 
 
 NonlinearitySpec = FourSegmentSpec | PolynomialSpec

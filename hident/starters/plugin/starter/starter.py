@@ -10,7 +10,7 @@ from pydantic import Field
 from hident.arrays import Array
 from hident.config.spec import Count, component
 from hident.errors import EstimationError
-from hident.estimators.base import AtOneInterval, require_usable
+from hident.estimators.base import FEEDBACK, POWERS, AtOneInterval, require_usable
 from hident.estimators.normalisation import Normalisation, first_coefficient
 from hident.linear_blocks import TransferFunction
 from hident.numerics.least_squares import Factorisation
@@ -56,6 +56,10 @@ class Starter(AtOneInterval):
 
     def fewest_samples(self) -> int:
         return self.degree + 2
+
+    def letters(self) -> dict[str, str]:
+        # What a_1 and c_1, c_2, ... are, so that none is compared with another quantity of its name.
+        return {"a": FEEDBACK, "c": POWERS}
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         # No data determine the factor between the blocks: here b_0 = 1.
