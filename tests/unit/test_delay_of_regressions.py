@@ -6,12 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from scipy.signal import lfilter
 
 import hident as hi
 from hident.engine.runner import run
 from hident.estimators.nonparametric.delay import _by_chance, delayed, late, search_delay, unexplained
 from hident.metrics.base import MetricSpec
-from hident.records import Held, Part, Record
+from hident.records import Held, Part, Record, Truth
+from tests.documented import ROOT
 from tests.unit.plans import planned, refusals
 
 BANDWIDTH = {"h0": 0.5, "alpha": 0.2}
@@ -254,7 +256,7 @@ def test_records_that_are_too_short_are_refused():
 
 
 def test_a_search_in_which_no_delay_can_be_judged_says_why():
-    def refused(delay):
+    def refused(delay, first):
         raise hi.EstimationError(f"not with {delay}")
 
     message = "no delay from 0 to 3 can be judged (the last: not with 3)"
@@ -372,6 +374,18 @@ def test_an_absolute_score_is_at_the_delay_that_was_found(prefilter, delay):
     assert rule.factors(system.truth(), None) == {"linear": 0.02}
 
 
+@pytest.mark.parametrize(
+    ("b", "said"), [([0, 0, 1], True), ([0.1, 1], True), ([1, 0.5], False), ([1, 1.3], False)]
+)
+def test_the_rule_says_where_an_earlier_input_is_taken(b, said):
+    """Without a word on the delay: lags count from the one that is noticed, which is another one's gamma."""
+    system = hi.Hammerstein(nonlinearity="abs", linear=hi.Fir(b=b))
+    (rule,) = kernel().normalisations()
+    counted = ", lags counted from the delay found" if said else ""
+    assert rule.said(system.truth(), None) == f"gamma_0 = 1, a constant left in{counted}"
+    assert rule.said(Truth(), None) == "gamma_0 = 1, a constant left in"
+
+
 def test_a_delay_at_which_the_system_gives_nothing_is_scored_by_the_system_s_own():
     """What was found is wrong, and its score says how much."""
     system = hi.Hammerstein(nonlinearity="abs", linear=hi.Fir(b=[0, 4]))
@@ -403,3 +417,112 @@ metrics:
 """
     (series,) = run(planned(tmp_path, text)).series
     assert series.value("mean") < 0.01
+
+
+def _signal(rng, n, pole):
+    return lfilter([1.0], [1.0, -pole], rng.standard_normal(n + 300))[300:]
+
+
+def _measured(u, delay, pole, noise, rng):
+    """The output behind a quadratic and a pole, which moved before the record too, with noise as ``nsr``."""
+    before = rng.choice(u, 300)
+    driven = np.concatenate((before, u))
+    y = lfilter([0.0] * delay + [1.0], [1.0, -pole], driven + 0.5 * driven**2)[300:]
+    return y + noise / np.sqrt(1.0 - noise**2) * np.std(y) * rng.standard_normal(len(u))
+
+
+class TestBeyondReach:
+    """A search whose true delay lies behind its largest one takes none by chance without a word."""
+
+    NONE = (
+        r"^the output depends on no input of 0 to 10 samples before by more than chance makes \(p = "
+        r"0\.\d+ at \d+, which tells most of it\): raise 'largest_delay', or give the 'delay'$"
+    )
+    MORE = (
+        "the output depends more on the input of 11 samples before than on any of 0 to 10: raise "
+        "'largest_delay', or give the 'delay'"
+    )
+
+    @BOTH
+    @each_prefilter
+    def test_of_independent_inputs_none_explains_anything(self, estimator, prefilter, a):
+        made = record([0.0] * 14 + [1.0], a)
+        with pytest.raises(hi.EstimationError, match=self.NONE):
+            estimator(prefilter=prefilter, delay="search").fit(made)
+        found = estimator(prefilter=prefilter, delay="search", largest_delay=14).fit(made)
+        assert found.values["delay"] == 14.0
+
+    def test_of_inputs_that_are_alike_the_next_one_explains_more(self):
+        rng = np.random.default_rng(3)
+        u = _signal(rng, 400, 0.9)
+        made = Record(u[12:], u[:-12] + 0.1 * rng.standard_normal(388))
+        with pytest.raises(hi.EstimationError, match=f"^{re.escape(self.MORE)}$"):
+            kernel(delay="search").fit(made)
+        assert kernel(delay="search", largest_delay=12).fit(made).values["delay"] == 12.0
+
+    @pytest.mark.parametrize("period", [37, 50])
+    def test_a_periodic_input_has_a_delay_as_any_other(self, period):
+        """Of shifts by whole periods the output depends as it does of none."""
+        rng = np.random.default_rng(4)
+        u = np.tile(rng.uniform(-1, 1, period), 20)
+        for delay in (0, 3, 10):
+            made = Record(u, np.roll(u, delay) + 0.1 * rng.standard_normal(len(u)))
+            assert kernel(delay="search").fit(made).values["delay"] == delay
+
+    @pytest.mark.parametrize(("poles", "share"), [((0.0, 0.0), 0.01), ((0.0, 0.9), 0.01), ((0.9, 0.9), 0.04)])
+    def test_without_a_dependence_the_stated_share_of_records_has_a_delay(self, poles, share):
+        searched, n = kernel(delay="search"), 400
+        taken = 0
+        for seed in range(n):
+            rng = np.random.default_rng([seed, 2031])
+            u, y = (_signal(rng, 120, pole) for pole in poles)
+            try:
+                searched.fit(Record(u, y))
+            except hi.EstimationError:
+                continue
+            taken += 1
+        assert taken <= n * share + 4.0 * np.sqrt(n * share)
+
+    def test_a_run_counts_it_with_its_reason(self, tmp_path):
+        text = CONFIGURATION.replace("DELAY", "search").replace("b: [0, 1]", f"b: {[0] * 15 + [1]}")
+        results = run(planned(tmp_path, text))
+        assert {series.statistics["failed"] for series in results.series} == {2.0}
+        assert "raise 'largest_delay'" in results.series[0].reasons[0][0]
+
+
+class TestRatesOfNoticing:
+    """What docs/concepts.md and the docstring state, on other seeds than those by which it was chosen."""
+
+    @pytest.mark.parametrize("pole_of_input", [0.0, 0.5, 0.9])
+    def test_a_delay_that_is_none_is_hardly_ever_noticed(self, pole_of_input):
+        """Where inputs beside each other are alike, an output of long memory tells most of an earlier one."""
+        noticed = 0
+        for seed in range(1000):
+            rng = np.random.default_rng([seed, 2032])
+            u = _signal(rng, (30, 100, 200, 500)[seed % 4], pole_of_input)
+            pole = (0.5, 0.9, 0.98)[seed % 3]
+            noticed += late(Record(u, _measured(u, 0, pole, (0.1, 0.5)[seed % 2], rng)), 10) > 0
+        assert noticed == 0
+
+    def test_a_delay_is_noticed_and_found_as_often_as_the_page_says(self):
+        page = (ROOT / "docs" / "concepts.md").read_text(encoding="utf-8")
+        rows = re.findall(r"^\| (0\.\d) \| (\d+) % \| (noticed|searched) \|(.*)\|$", page, re.M)
+        assert len(rows) == 8
+        lengths = [int(n) for n in re.findall(r"\d+", page.partition("| pole | noise | |")[2].split("\n")[0])]
+        assert lengths == [50, 100, 200, 400, 1000]
+        searched, n = kernel(delay="search"), 40
+        for pole, percent, how, cells in rows:
+            for length, cell in zip(lengths[:-1], cells.split("|"), strict=False):
+                share, found = float(cell.strip(" %")) / 100.0, 0
+                for seed in range(n):
+                    rng = np.random.default_rng([seed, length, 2033])
+                    u = rng.uniform(-1.0, 1.0, length)
+                    made = Record(u, _measured(u, 3, float(pole), float(percent) / 100.0, rng))
+                    if how == "noticed":
+                        found += late(made, 10) == 3
+                        continue
+                    try:
+                        found += searched.fit(made).values["delay"] == 3.0
+                    except hi.EstimationError:
+                        continue
+                assert abs(found - n * share) <= 4.0 * np.sqrt(n * share * (1.0 - share)) + 2.0, (pole, cell)

@@ -253,7 +253,7 @@ class NonparametricSpec(EstimatorSpec):
     """Samples by which the linear block delays its input; search: those on whose input y depends most. Left
     out, 0; without a prefilter a later one where the output depends on that input, and not on the newest."""
     largest_delay: Annotated[Count, Field(ge=1)] = 10
-    """Largest delay that is tried (search)."""
+    """Largest delay that is tried (search), which fails where none up to it explains more than chance."""
 
     @model_validator(mode="after")
     def _only_a_search_has_a_largest_delay(self) -> Self:
