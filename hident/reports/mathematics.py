@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +17,35 @@ if TYPE_CHECKING:
 _BETWEEN_DOLLARS = re.compile(r"(?<!\\)\$(?!\s)((?:\\\$|[^$\n])+?)(?<![\s\\])\$(?!\d)")
 _POWER = re.compile(r"\b([A-Za-z])\^(-?\d+)")
 _COMMAND = re.compile(r"\\[A-Za-z]")
+
+_WHOLE: ContextVar[Callable[[str], str]] = ContextVar("whole", default=str)
+
+
+@contextmanager
+def whole(texts: Iterable[str]) -> Iterator[None]:
+    r"""Inside of the block, no dollar of one of these texts pairs with one outside of it.
+
+    Names, labels and headings are joined in many places, and each may hold a dollar of its own.
+
+    Examples
+    --------
+    >>> with whole(["US$", "CA$"]):
+    ...     print(typeset_by(r"US$, CA$ at $\sigma$ = 1", "<{}>".format, str))
+    US$, CA$ at <\sigma> = 1
+    """
+    escaped = {text: _with_dollars(text) for text in texts if "$" in text}
+    # Longer ones first, which may hold others.
+    lone = sorted((text for text, own in escaped.items() if own != text), key=len, reverse=True)
+    alone = re.compile(rf"(?<![\w\\$])(?:{'|'.join(map(re.escape, lone))})(?![\w$])")
+
+    def kept(text: str) -> str:
+        return alone.sub(lambda found: escaped[found[0]], text) if "$" in text else text
+
+    token = _WHOLE.set(kept if lone else str)
+    try:
+        yield
+    finally:
+        _WHOLE.reset(token)
 
 
 def typeset_by(text: str, mathematics: Callable[[str], str], words: Callable[[str], str]) -> str:
@@ -28,7 +59,7 @@ def typeset_by(text: str, mathematics: Callable[[str], str], words: Callable[[st
     >>> typeset_by(r"$5 & 7 % of $10, $\sigma$", "<{}>".format, str)
     '$5 & 7 % of $10, <\\sigma>'
     """
-    found, last = [], 0
+    text, found, last = _WHOLE.get()(text), [], 0
     while token := _BETWEEN_DOLLARS.search(text, last):
         if _is_mathematics(token[1]):
             found += [words(_plain(text[last : token.start()])), mathematics(token[1])]

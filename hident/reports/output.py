@@ -8,7 +8,7 @@ import platform
 import subprocess
 import sys
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cached_property
 from importlib.metadata import version
@@ -21,6 +21,7 @@ from hident import arithmetic
 from hident.config.load import Problem
 from hident.config.spec import canonical
 from hident.config.suggest import one_of
+from hident.config.variables import texts as texts_in
 from hident.engine.experiment import Plan
 from hident.engine.fingerprint import code
 from hident.engine.results import Results
@@ -48,7 +49,7 @@ from hident.new_files import replacing
 from hident.numerics.influence import largest_share
 from hident.reports import latex
 from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, misfits
-from hident.reports.mathematics import typeset
+from hident.reports.mathematics import typeset, whole
 from hident.reports.scoring import scoring
 from hident.reports.style import printed, style
 from hident.reports.tables.writing import failures, written
@@ -109,7 +110,7 @@ class Outputs:
         # With a rule, that of the results knows how many trials were needed.
         plan, seconds = results.plan, dict(seconds)
         formats = plan.experiment.formats
-        with RunFolder(self.folder).renewed() as new:
+        with RunFolder(self.folder).renewed() as new, whole(_texts(plan)):
             with phase(seconds, "tables"):
                 verdicts = judge(results)
                 files = _write_tables(results, verdicts, new)
@@ -189,6 +190,18 @@ def _power_page(plan: Plan, power: VerdictPower, trials: int) -> str:
         title = f"{table}: mutation score {rejected} of {tried}"
         parts.append(Table(title, header, rows).markdown())
     return "\n\n".join(parts) + "\n"
+
+
+def _texts(plan: Plan) -> Iterator[str]:
+    """What the author of the file calls things, in tables and figures too."""
+    experiment = plan.experiment
+    for axis in plan.axes:
+        yield from (axis.name, *map(str, axis.labels))
+    for name, metric in experiment.metrics.items():
+        yield from (name, *metric.labels(name))
+    yield from experiment.estimators
+    shown = {**experiment.tables, **experiment.figures}
+    yield from (text for _, text in texts_in([canonical(spec) for spec in shown.values()], keys=True))
 
 
 def check(plan: Plan) -> None:

@@ -3,9 +3,11 @@
 import re
 
 import pytest
+from matplotlib.text import Text
 
 from hident.reports import latex
 from hident.reports.base import TableSpec
+from hident.reports.mathematics import typeset
 from hident.reports.output import Outputs
 from hident.reports.table import Table
 from tests.unit.results_maker import PUBLISHED, made
@@ -132,3 +134,47 @@ def test_without_tables_all_statistics_are_one(tmp_path):
     page = (tmp_path / "out" / "table.tex").read_text()
     assert r"\caption{All statistics. 2 trials, seed 1.}" in page
     assert page.count(r"\begin{table}") == 1
+
+
+DOLLARS = """
+tables:
+  t:
+    kind: grid
+    title: "Errors, cost in US$"
+    rows: samples
+    row_header: "N, NZ$"
+    columns:
+      - {estimator: one, metric: mise, statistic: median, header: "US$"}
+      - {estimator: two, metric: mise, header: "CA$"}
+      - {estimator: one, metric: mise, header: "$\\\\sigma$ in US$"}
+  c: {kind: comparison, title: "$p$ at US$ and CA$", metric: mise, facets: {columns: AU$, names: {AU$: HK$}}}
+figures:
+  f: {kind: curve, x: samples, metric: mise, x_label: "N", y_label: "error", at: {AU$: US$}}
+  g: {kind: paired_differences, table: c, x_label: "cost, US$"}
+formats: [png, tex]
+"""
+AXES = """\
+  AU$: {US$: {excitation.high: 1}, $\\alpha$ US$: {excitation.high: 2}}
+  NZ$: {CA$: {noise: []}, ZW$: {noise: {kind: white, std: 1}}}
+"""
+
+
+def test_a_dollar_of_one_label_pairs_with_none_of_another(tmp_path, monkeypatch):
+    """Labels with a lone dollar each, joined by a comma: $, CA$ is no mathematics."""
+    results = made(tmp_path, {}, rest=DOLLARS, axes=AXES)
+    shown: list[str] = []
+
+    def kept(figure):
+        typeset(figure)
+        shown.extend(text.get_text() for text in figure.findobj(Text))
+
+    monkeypatch.setattr("hident.reports.output.typeset", kept)
+    assert Outputs(results.plan, tmp_path / "out").write(results, {}) == ()
+    page = (tmp_path / "out" / "table.tex").read_text()
+    for text in (page, "\n".join(shown)):
+        assert any(two in text for two in (r"US\$, CA\$", r"US\$, NZ\$", r"NZ\$ CA\$"))
+        for found in re.findall(r"(?<!\\)\$([^$]*)(?<!\\)\$", text):
+            assert not re.search(r"[A-Z]{2}|\\\$", found), found
+    assert r"$\alpha$ US\$" in page
+    assert r"$\sigma$ in US\$" in page
+    assert r"$\alpha$ US\$" in "\n".join(shown)
