@@ -140,6 +140,9 @@ class Canvas:
             cell = self._grid[row, column]
             if not axes and alone:
                 cell.set_visible(False)
+            elif alone and not cell.axison:
+                # Beside it stand texts of its own.
+                _title(cell, ", ".join(filter(None, (sides[row], titles[column]))), "")
             elif alone:
                 is_first = row == min(i for i, j in drawn if j == column)
                 is_last = column == max(j for i, j in drawn if i == row)

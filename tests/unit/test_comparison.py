@@ -546,6 +546,14 @@ def texts_of(figure):
     return [(text.get_text(), text.get_window_extent()) for text in found]
 
 
+def _lie_apart(shown, texts):
+    for said, box in texts:
+        assert min(box.x0, box.y0, shown.bbox.x1 - box.x1, shown.bbox.y1 - box.y1) > -1.0, said
+    for (said, at), (other, there) in itertools.combinations(texts, 2):
+        overlap = min(at.x1, there.x1) - max(at.x0, there.x0), min(at.y1, there.y1) - max(at.y0, there.y0)
+        assert min(overlap) < 2.0, (said, other)
+
+
 ORDINARY = ("instrumental variables, order 2", "bilinear least squares, degree 4", "two-stage, nine lags")
 LONG = ("a method whose name goes on and on, never ends, and says all of its settings", *ORDINARY[1:])
 TEN = ", ".join(f"0.{i}" for i in range(11, 21))
@@ -566,14 +574,33 @@ TEN = ", ".join(f"0.{i}" for i in range(11, 21))
 def test_no_text_of_a_comparison_lies_on_another_or_is_cut(tmp_path, figure, names):
     shown = fitting(tmp_path, figure, names, cases=TEN if "critical" in figure else "0.1, 0.2", trials="12")
     texts = texts_of(shown)
-    for said, box in texts:
-        assert min(box.x0, box.y0, shown.bbox.x1 - box.x1, shown.bbox.y1 - box.y1) > -1.0, said
-    for (said, at), (other, there) in itertools.combinations(texts, 2):
-        overlap = min(at.x1, there.x1) - max(at.x0, there.x0), min(at.y1, there.y1) - max(at.y0, there.y0)
-        assert min(overlap) < 2.0, (said, other)
+    _lie_apart(shown, texts)
     assert any("never ends" in " ".join(said.split()) for said, _ in texts) == (names is LONG)
     if "column" in figure:
         assert shown.get_figwidth() * 25.4 == pytest.approx(88.0)
+
+
+LEVELS = f"{TEN}], excitation.high: [3, 2.5, 2"
+
+
+@pytest.mark.parametrize("facets", ["rows: excitation.high", "columns: excitation.high"])
+@pytest.mark.parametrize("names", [ORDINARY, LONG], ids=["ordinary", "long"])
+def test_critical_differences_in_panels_keep_apart_and_say_what_each_is_of(tmp_path, facets, names):
+    figure = f"kind: critical_differences, table: t, facets: {{{facets}}}"
+    shown = fitting(tmp_path, figure, names, cases=LEVELS, trials="12")
+    texts = texts_of(shown)
+    _lie_apart(shown, texts)
+    headings = [said.split("\n")[0] for said, _ in texts if "average rank" in said]
+    assert headings == [f"excitation.high = {high}" for high in ("3", "2.5", "2")]
+    words = {word for name in names for word in name.split()}
+    assert words <= {word for said, _ in texts for word in said.split()}
+
+
+def test_critical_differences_in_panels_too_narrow_for_a_name_say_so(tmp_path):
+    figure = "kind: critical_differences, table: t, facets: {columns: excitation.high}, size: column"
+    said = r"^beside the names of the methods the scale has 0 mm of 29: repeat it over 'rows', take a wider "
+    with pytest.raises(ValueError, match=said):
+        fitting(tmp_path, figure, ORDINARY, cases=LEVELS, trials="12")
 
 
 def test_comparisons_for_which_paper_has_no_room_say_so(tmp_path):

@@ -327,11 +327,19 @@ class CriticalDifferences(_OfComparison):
         groups = groups_within([float(ranks[i]) for i in order], reach)
         half = (len(names) + 1) // 2
         width = _WIDE if (paper := canvas()) is None else paper.room
-        said = [
-            wrapped(f"{name} ({rank:.2f})" + f", {failed[name]} failed" * (failed[name] > 0), letters)
-            for letters in [int((width - _SCALE) / 2.0 / _LETTER)]
+        words = [
+            f"{name} ({rank:.2f})" + f", {failed[name]} failed" * (failed[name] > 0)
             for name, rank in zip(names, ranks, strict=True)
         ]
+        # No word is broken: the scale gives way.
+        longest = max(len(word) for text in words for word in text.split())
+        letters = max(int((width - _SCALE) / 2.0 / _LETTER), longest)
+        if (left := width - 2.0 * letters * _LETTER) < _NARROWEST:
+            raise ValueError(
+                f"beside the names of the methods the scale has {25.4 * max(left, 0.0):.0f} mm of "
+                f"{25.4 * width:.0f}: repeat it over 'rows', take a wider 'size', or give shorter names"
+            )
+        said = [wrapped(text, letters) for text in words]
         # One line has the place of one.
         step = 1.0 + 0.5 * (max(map(len, said)) - 1)
         lowest = half * step + 0.35 * len(groups)
@@ -340,11 +348,16 @@ class CriticalDifferences(_OfComparison):
             f"{written(friedman_p(ranked), 2)}",
             int(width / _HEADING),
         )
-        height = 0.85 + 0.26 * lowest + _LINE * (len(heading) - 1)
+        beside = max(len(line) for lines in said for line in lines) * _LETTER
+        scale = width - 2.0 * beside
+        told = f"critical difference {reach:.2f}"
+        # Where there is no room at the right of its bar, it stands above.
+        above = beside + scale * reach / (len(names) - 1) + len(told) * _LETTER > width
+        height = 0.85 + 0.26 * (lowest + above) + _LINE * (len(heading) - 1)
         if paper is not None:
             paper.fit(height, "name fewer estimators, or shorter ones")
         figure, axes = subplots(figsize=(width, height))
-        _scale(axes, len(names), reach)
+        _scale(axes, len(names), reach, told, above)
         for place, i in enumerate(order):
             at_left = place < half
             below = 0.35 * len(groups) + step * (place if at_left else len(names) - 1 - place) + 0.9
@@ -355,12 +368,12 @@ class CriticalDifferences(_OfComparison):
         for row, (first, last) in enumerate(groups):
             ends = [ranks[order[first]] - 0.04, ranks[order[last]] + 0.04]
             axes.plot(ends, 2 * [0.35 * (row + 1)], color="black", linewidth=3.5, solid_capstyle="butt")
-        axes.set_ylim(lowest + 0.6, -1.5)
+        axes.set_ylim(lowest + 0.6, -1.5 - above)
         axes.set_title("\n".join(heading), fontsize="medium")
         return figure
 
 
-def _scale(axes: Axes, methods: int, reach: float) -> None:
+def _scale(axes: Axes, methods: int, reach: float, told: str, above: bool) -> None:
     """The line of ranks with its numbers, and the critical difference above it."""
     axes.axis("off")
     axes.plot([1, methods], [0, 0], **{**LINES[0], "color": "black", "marker": ""})
@@ -368,4 +381,7 @@ def _scale(axes: Axes, methods: int, reach: float) -> None:
         axes.plot([rank, rank], [0, -0.15], color="black", linewidth=1.0)
         axes.text(rank, -0.25, str(rank), ha="center", va="bottom")
     axes.plot([1, 1 + reach], [-1.15, -1.15], color="black", linewidth=1.2, marker="|", markersize=6)
-    axes.text(1 + reach, -1.15, f"  critical difference {reach:.2f}", ha="left", va="center")
+    if above:
+        axes.text(1, -1.5, told, ha="left", va="bottom")
+    else:
+        axes.text(1 + reach, -1.15, f"  {told}", ha="left", va="center")
