@@ -1,10 +1,13 @@
 """The examples of docs/configuration.md and docs/publication.md run, and give what the pages say."""
 
 import re
+import shlex
+import shutil
 
 import numpy as np
 import pytest
 
+import hident as hi
 from hident import plugins
 from hident.commands.plans import load_plans
 from hident.config import spec
@@ -12,6 +15,8 @@ from hident.config.spec import components
 from hident.engine.runner import run
 from hident.reports.output import Outputs
 from tests.documented import blocks
+from tests.forked import run_forked
+from tests.typesetting import typeset
 
 PAGES = ("docs/configuration.md", "docs/publication.md")
 EXAMPLES = {
@@ -72,6 +77,29 @@ def test_an_example_runs(plan, title, tmp_path):
 
 def test_every_block_is_an_example():
     assert len(EXAMPLES) == sum(len(blocks(page, "yaml")) for page in PAGES)
+
+
+@pytest.mark.filterwarnings("ignore:the arithmetic in use")
+def test_a_paper_is_written_as_the_page_says(tmp_path, monkeypatch):
+    """The commands of docs/publication.md, of the example on it."""
+    page = "docs/publication.md"
+    [text], [command], [code] = (blocks(page, language) for language in ("yaml", "console", "python"))
+    (tmp_path / "configs").mkdir()
+    (tmp_path / "configs" / "kernels.yaml").write_text(text, encoding="utf-8")
+    _, *words = shlex.split(command.replace("CONFIG", "kernels"))
+    ended = run_forked([*words, "--jobs", "1"], tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    out = tmp_path / "out" / "kernels"
+    written = {path.name: path.read_bytes() for path in out.iterdir()}
+    assert {"errors.pdf", "errors.svg", "errors.tex", "table.tex"} <= written.keys()
+    monkeypatch.chdir(tmp_path)
+    shutil.rmtree(out)
+    exec(code.replace("CONFIG", "kernels"), {"hi": hi})
+    assert (out / "errors.pdf").read_bytes() == written["errors.pdf"]
+    assert (out / "errors.tex").read_bytes() == written["errors.tex"]
+    figure, table = (block.replace("CONFIG", "kernels") for block in blocks(page, "tex"))
+    preamble, _, body = table.partition("...\n")
+    assert typeset(f"{preamble}\\usepackage{{graphicx}}", f"{figure}\n{body}", tmp_path) == []
 
 
 def test_axes(plan):
