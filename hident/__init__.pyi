@@ -63,6 +63,9 @@ from hident.measurements.first_look import first_look as first_look
 from hident.measurements.measured_record import MeasuredRecord as MeasuredRecord, read as read
 from hident.metrics.block_responses import FrequencyResponseError as FrequencyResponseError
 from hident.metrics.block_responses import ImpulseResponseError as ImpulseResponseError
+from hident.metrics.curves import FrequencyResponse as FrequencyResponse
+from hident.metrics.curves import ModelOutput as ModelOutput
+from hident.metrics.curves import StaticFunctionValues as StaticFunctionValues
 from hident.metrics.disturbance import DisturbanceVariance as DisturbanceVariance
 from hident.metrics.disturbance import DisturbanceVarianceFormula as DisturbanceVarianceFormula
 from hident.metrics.fit import FitIndex as FitIndex, Mae as Mae, Nrmse as Nrmse, Rmse as Rmse
@@ -84,6 +87,7 @@ from hident.models.convert import convert as convert
 from hident.models.formulas import formulas as formulas
 from hident.models.model_file import load_model as load_model, write_model as write_model
 from hident.records import Estimate as Estimate, Record as Record
+from hident.reports.figures.bands import Bands as Bands
 from hident.reports.figures.bode import Bode as Bode
 from hident.reports.figures.comparisons import CriticalDifferences as CriticalDifferences
 from hident.reports.figures.comparisons import PairedDifferences as PairedDifferences
@@ -101,6 +105,7 @@ from hident.reports.one_trial.searches import Search as Search
 from hident.reports.one_trial.static_fits import StaticFit as StaticFit
 from hident.reports.tables.agreement import Agreement as Agreement
 from hident.reports.tables.against_truth import AgainstTruth as AgainstTruth
+from hident.reports.tables.candidates import Candidates as Candidates
 from hident.reports.tables.choices import Choices as Choices
 from hident.reports.tables.comparison import Comparison as Comparison
 from hident.reports.tables.distances import Distance as Distance, JointDistance as JointDistance

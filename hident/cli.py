@@ -677,6 +677,13 @@ def identify(
             help="linear, hammerstein, wiener, wiener_hammerstein or hammerstein_wiener; by default all.",
         ),
     ] = None,
+    by: Annotated[
+        str,
+        typer.Option(
+            metavar="validation|aic|bic",
+            help="What chooses: samples that are kept apart, or a criterion of those that are fitted.",
+        ),
+    ] = "validation",
     n_init: Annotated[
         int | None,
         typer.Option("--n-init", min=0, help="First samples of each experiment that are not fitted."),
@@ -685,6 +692,10 @@ def identify(
         str,
         typer.Option(metavar="settled|rest", help="Before a record: its first input for ever, or nothing."),
     ] = "settled",
+    bootstraps: Annotated[
+        int,
+        typer.Option("--bootstrap", min=0, help="Fit the model again so often, for bands in the figures."),
+    ] = 0,
     out: Annotated[Path | None, typer.Option(help="Folder to write to (default: out/identify_FILE).")] = None,
 ) -> None:
     """Find a model of a measured record.
@@ -696,8 +707,10 @@ def identify(
     identify_file(
         files,
         structure or (),
+        by,
         n_init,
         start,
+        bootstraps,
         out,
         input=input_,
         output=output,

@@ -23,8 +23,9 @@ from hident.config.spec import canonical
 from hident.config.suggest import did_you_mean, one_of
 from hident.errors import ConfigError, EstimationError
 from hident.fitted_model import FittedModel
+from hident.identification.bootstrap import Bootstrap, bootstrap
 from hident.identification.candidates import STRUCTURES
-from hident.identification.identify import Identification, Trial, identify
+from hident.identification.identify import By, Identification, Trial, identify
 from hident.measurements.measured_record import MeasuredRecord
 from hident.models.formulas import formulas
 from hident.models.model_file import write_model
@@ -40,8 +41,10 @@ _POOR = 20.0
 def identify_file(
     files: Sequence[Path],
     structures: Sequence[str],
+    by: str,
     n_init: int | None,
     start: str,
+    bootstraps: int,
     out: Path | None,
     **options: Any,
 ) -> None:
@@ -58,8 +61,10 @@ def identify_file(
             raise ConfigError(
                 f"--structure: unknown structure '{name}'{near} (allowed: {one_of(STRUCTURES)})"
             )
-    if start not in get_args(Start):
-        raise ConfigError(f"--start: must be settled or rest{did_you_mean(start, get_args(Start))}")
+    for option, value, allowed in (("--by", by, get_args(By)), ("--start", start, get_args(Start))):
+        if value not in allowed:
+            near = did_you_mean(value, allowed)
+            raise ConfigError(f"{option}: must be {one_of(allowed)}, not '{value}'{near}")
     spec = record_of(files, **options)
     record = spec.read(Path())
     folder = out or Path("out") / f"identify_{files[0].stem}"
@@ -70,21 +75,23 @@ def identify_file(
         found = identify(
             record,
             structures or tuple(STRUCTURES),
+            by=cast(By, by),
             n_init=n_init,
             start=cast(Start, start),
             tell=_Progress(begun),
         )
         model = _model(found, record, spec)
+        again = bootstrap(found, bootstraps, tell=_Progress(begun).bootstrapped) if bootstraps else None
     except EstimationError as error:
         raise ConfigError(f"{one_of(map(str, files))}: {error}") from None
     finally:
         _clear()
-    lines = list(_said(found, record))
+    lines = list(_said(found, again))
     print_columns(_rows(found, record, _SHOWN_OF_EACH))
     for line in lines:
         print(line)
     print(formulas(model))
-    written = _write(folder, found, record, spec, model, lines)
+    written = _write(folder, found, record, spec, model, lines, again)
     print(f"\n{folder}: {', '.join(written)} ({time.monotonic() - begun:.0f} s)")
 
 
@@ -96,8 +103,14 @@ class _Progress:
 
     def __call__(self, trial: Trial) -> None:
         self.count += 1
+        self._say(f"{self.count} chains tried, {{}}: {trial.structure}")
+
+    def bootstrapped(self, done: int) -> None:
+        self._say(f"{done} bootstraps fitted, {{}}")
+
+    def _say(self, text: str) -> None:
         now = time.monotonic()
-        text = f"{self.count} chains tried, {now - self.begun:.0f} s: {trial.structure}"
+        text = text.format(f"{now - self.begun:.0f} s")
         if sys.stderr.isatty():
             print(f"\r{text:70}", end="", file=sys.stderr, flush=True)
         elif now - self.said > _EVERY:
@@ -154,10 +167,10 @@ def _rows(found: Identification, record: Record, most: int | None) -> list[tuple
     spread = float(np.std(found.parts.output)) or 1.0
     unit = record.units.get("output", "")
     rmse = f"RMSE {unit}".strip()
-    head = ("structure", "blocks", "numbers", f"fitted {rmse}", f"kept apart {rmse}")
-    rows: list[tuple[str, ...]] = [(*head, "fit %", "BIC", "agreeing", "")]
+    head = ("structure", "blocks", "parameters", f"fitted {rmse}", f"kept apart {rmse}")
+    rows: list[tuple[str, ...]] = [(*head, "fit %", "AIC", "BIC", "agreeing", "")]
     done = [(i, one) for i, one in enumerate(found.trials) if one.fit is not None]
-    order = sorted(done, key=lambda pair: pair[1].rms)
+    order = sorted(done, key=lambda pair: pair[1].worth(found.by))
     seen: dict[str, int] = {}
     for i, one in order:
         seen[one.structure] = seen.get(one.structure, 0) + 1
@@ -174,6 +187,7 @@ def _rows(found: Identification, record: Record, most: int | None) -> list[tuple
                 f"{one.estimation:.4g}",
                 f"{one.rms:.4g}",
                 f"{fit:.2f}" if fit > -1e4 else "-",
+                f"{one.aic:.0f}",
                 f"{one.bic:.0f}",
                 f"{one.fit.agreeing} of {one.fit.finalists}",
                 mark,
@@ -182,13 +196,15 @@ def _rows(found: Identification, record: Record, most: int | None) -> list[tuple
     return rows
 
 
-def _said(found: Identification, record: Record) -> Iterator[str]:
+def _said(found: Identification, again: Bootstrap | None) -> Iterator[str]:
     shown = sum(one.fit is not None for one in found.trials)
     yield ""
+    by = "the simulation of" if found.by == "validation" else f"{found.by.upper()}; kept apart:"
     yield (
-        f"{len(found.trials)} chains tried, {shown} fitted; chosen by the simulation of {found.parts.said}, "
+        f"{len(found.trials)} chains tried, {shown} fitted; chosen by {by} {found.parts.said}, "
         f"without the first {found.parts.everything.n_init} samples of what is fitted"
     )
+    yield from found.notes
     reasons: dict[str, list[str]] = {}
     for one in found.trials:
         if one.reason:
@@ -211,6 +227,10 @@ def _said(found: Identification, record: Record) -> Iterator[str]:
             yield f"- {sentence}"
     except EstimationError as error:
         yield f"- {error}"
+    if again is not None:
+        failed = f", {again.failed} more failed" if again.failed else ""
+        count = len(again.chains)
+        yield f"bands: {count} bootstraps of the residuals in blocks of {again.length} samples{failed}"
     yield ""
 
 
@@ -221,6 +241,7 @@ def _write(
     spec: MeasuredRecord,
     model: FittedModel,
     lines: Sequence[str],
+    again: Bootstrap | None,
 ) -> list[str]:
     from hident.reports.model_figures import comparison
 
@@ -233,7 +254,12 @@ def _write(
         new.write_text("\n".join([*head, *table, *lines, ""]), encoding="utf-8")
     with replacing(folder / "experiment.yaml") as new:
         new.write_text(_experiment(found, spec, folder), encoding="utf-8")
-    names = ["model.json", "table.md", "experiment.yaml", *draw_model(model, folder)]
+    names = [
+        "model.json",
+        "table.md",
+        "experiment.yaml",
+        *draw_model(model, folder, again.chains if again else ()),
+    ]
     kept = found.parts.kept_experiments
     units = record.units
     labels = [
@@ -242,6 +268,9 @@ def _write(
     ]
     assert found.chosen.fit is not None
     made = found.parts.simulated(found.chosen.fit.point.parameters.chain)
+    # Of a chain that was fitted to what was kept apart as well, bands would be those of another fit.
+    is_apart = again is not None and found.parts.everything is found.parts.estimation
+    others = [found.parts.simulated(chain) for chain in again.chains] if again and is_apart else []
     step, label = (record.dt or 1.0), "sample"
     if record.dt is not None and len(kept) == 1:
         label = f"time ({units['time']})" if units.get("time") else "time"
@@ -249,7 +278,13 @@ def _write(
     save_figure(
         folder / "kept_apart.png",
         lambda: comparison(
-            instants, label, found.parts.input, made, found.parts.output, (labels[0], labels[1], "simulation")
+            instants,
+            label,
+            found.parts.input,
+            made,
+            found.parts.output,
+            (labels[0], labels[1], "simulation"),
+            others,
         ),
     )
     return [*names, "kept_apart.png"]

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hident.arrays import Array
+from hident.block_chain import BlockChain
 from hident.commands.measured import record_of
 from hident.errors import ConfigError, EstimationError
 from hident.fitted_model import FittedModel
@@ -36,12 +37,12 @@ def print_model(file: Path, out: Path | None) -> None:
         print(f"\n{out}: {', '.join(names)}")
 
 
-def draw_model(model: FittedModel, folder: Path) -> list[str]:
-    """Draw a model into a folder; the names of the files."""
+def draw_model(model: FittedModel, folder: Path, others: Sequence[BlockChain] = ()) -> list[str]:
+    """Draw a model into a folder, with bands of others, such as bootstraps; the names of the files."""
     from hident.reports.model_figures import figures
 
     made_folder(folder)
-    found = figures(model)
+    found = figures(model, others)
     for name, draw in found.items():
         save_figure(folder / name, draw)
     return list(found)

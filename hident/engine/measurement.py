@@ -9,7 +9,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-import numpy as np
 from pydantic import Field
 
 from hident.arrays import Array
@@ -19,6 +18,7 @@ from hident.engine.trial import Data, Excitation, Job, System, digest, estimate
 from hident.errors import ConfigError, EstimationError, RecordAbsent
 from hident.estimators.base import EstimatorSpec, require_finite
 from hident.measurements.measured_record import MeasuredRecord
+from hident.numerics.bootstrap import resampled
 from hident.numerics.parts import in_each
 from hident.records import Record, Truth
 from hident.signals.base import ExcitationSpec, Stretch
@@ -240,18 +240,6 @@ class Measurement(Data):
         while len(_HELD) >= _MOST_HELD:
             _HELD.pop(next(iter(_HELD)), None)
         _HELD[self.key] = record
-
-
-def resampled(residuals: Array, length: int, rng: np.random.Generator) -> Array:
-    """Circular blocks of so many residuals, drawn with replacement, one after the other: shape (N,).
-
-    Politis, Romano 1992: a block that reaches the end goes on at the beginning, so that each residual is as
-    likely as any other. They keep their mean: what the model misses throughout is missed again.
-    """
-    n = len(residuals)
-    starts = rng.integers(0, n, -(-n // length))
-    places = (starts[:, np.newaxis] + np.arange(length)) % n
-    return np.asarray(residuals[places.ravel()[:n]])
 
 
 def _numbered(value: Any, names: Sequence[str]) -> Any:

@@ -2,38 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from hident.arrays import Array
-from hident.block_chain import BlockChain, Start
+from hident.block_chain import Start
 from hident.config.spec import canonical
 from hident.errors import EstimationError
 from hident.estimators.base import require_usable
 from hident.estimators.prediction_error.block_specs import LinearBlock
 from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain
-from hident.estimators.prediction_error.criterion import Data, simulated
+from hident.estimators.prediction_error.criterion import Data
 from hident.estimators.prediction_error.prediction_error import PredictionError
-from hident.identification.candidates import FIRST_STATIC, STATIC, STRUCTURES, Orders, chain, orders_of
+from hident.identification.candidates import STRUCTURES, Functions, Orders, chain, orders_of
 from hident.identification.continuation import continued
+from hident.identification.split import Split, split
 from hident.measurements.delay import correlation, delay
+from hident.numerics.choices import first_least, within_one_standard_error
+from hident.numerics.information_criteria import aic, bic
 from hident.numerics.judgement import Residuals, judgement
-from hident.numerics.parts import Parts, following, joined
 from hident.records import Estimate, Record
+
+By = Literal["validation", "aic", "bic"]
+"""What decides: the simulation of samples kept apart, or a criterion of those that are fitted."""
 
 # Orders are compared by short fits to so many samples, static functions by whole fits to more.
 _COMPARED, _ORDERS, _ORDER_ITERATIONS, _FUNCTION_ITERATIONS = 12000, 4000, 25, 50
 _LINEAR_STARTS, _HIGHEST = 2, 10
-# The share of each experiment that is kept apart where nothing else is.
-_KEPT_APART = 0.2
-# First samples that are not fitted: at most this many, and this share of an experiment.
-_MOST_INITIAL, _INITIAL_SHARE = 250, 20
-_BATCHES, _FEWEST, _WHOLE = 20, 20, 2
-# Blocks of so many samples whose variance is below this part of the mean one are at rest.
-_BLOCK, _AT_REST, _SEVERAL = 50, 0.01, 10
+_FEWEST, _WHOLE = 20, 2
 # Short fits of higher orders that gain less than this have gained nothing.
 _CLOSE = 1.03
 _MOST_LINEAR, _MORE_LINEAR, _MANY = 4, 8, 5000
@@ -43,8 +42,9 @@ _MOST_LINEAR, _MORE_LINEAR, _MANY = 4, 8, 5000
 class Trial:
     """A chain that was tried, and its fit; ``reason`` says why there is none.
 
-    ``estimation`` is the root mean squared error that was fitted, ``validation`` the squared errors (M,) of
-    the simulation of the samples kept apart.
+    ``count`` is the number of free parameters, ``estimation`` the root mean squared error of the simulation
+    of all ``samples`` that are to be fitted, of which a short fit has seen a part, and ``validation`` the
+    squared errors (M,) of that of the samples kept apart.
     """
 
     structure: str
@@ -52,6 +52,7 @@ class Trial:
     count: int = 0
     fit: ChainFit | None = None
     estimation: float = np.inf
+    samples: int = 0
     validation: Array = field(default_factory=lambda: np.zeros(0))
     reason: str = ""
 
@@ -61,83 +62,33 @@ class Trial:
         return float(np.sqrt(np.mean(self.validation))) if len(self.validation) else np.inf
 
     @property
+    def aic(self) -> float:
+        """Akaike's criterion of the samples that are fitted; infinite without a fit."""
+        return aic(self._mse, self.samples, self.count) if self.fit is not None else np.inf
+
+    @property
     def bic(self) -> float:
-        """Schwarz's criterion of the errors that were fitted."""
-        assert self.fit is not None
-        n = self.fit.point.data.count
-        return n * float(np.log(max(self.estimation, 1e-300) ** 2)) + self.count * float(np.log(n))
-
-
-@dataclass(frozen=True, eq=False)
-class Split:
-    """What is fitted, and what is kept apart: the samples ``kept`` of ``validation``, ``said`` in words."""
-
-    estimation: Data
-    everything: Data
-    validation: Data
-    kept: Any
-    kept_experiments: Parts
-    said: str
-
-    def simulated(self, model: BlockChain) -> Array:
-        """The output of a chain at the samples kept apart."""
-        return np.asarray(simulated(self.validation, model)[self.kept])
+        """Schwarz's criterion of the samples that are fitted; infinite without a fit."""
+        return bic(self._mse, self.samples, self.count) if self.fit is not None else np.inf
 
     @property
-    def output(self) -> Array:
-        """The measured output at the samples kept apart."""
-        return np.asarray(self.validation.y[self.kept])
+    def _mse(self) -> float:
+        return max(self.estimation**2, float(np.finfo(float).tiny))
 
-    @property
-    def input(self) -> Array:
-        """The input at the samples kept apart."""
-        return np.asarray(self.validation.u[self.kept])
-
-
-def split(record: Record, n_init: int | None, start: Start = "settled") -> Split:
-    """The validation record if there is one, else the last fifth of each experiment."""
-    shortest = min(part.stop - part.start for part in record.experiments)
-    initial = min(_MOST_INITIAL, shortest // _INITIAL_SHARE) if n_init is None else n_init
-    quiet = quiet_beginning(record, 2 * initial) if len(record.experiments) == 1 else 0
-    u, y = record.u[quiet:], record.y[quiet:]
-    experiments = (slice(0, len(u)),) if quiet else record.experiments
-    everything = Data(u, y, experiments, start, initial)
-    if record.validation is not None:
-        other = record.validation
-        kept = Data(other.u, other.y, other.experiments, start, initial)
-        return Split(
-            everything,
-            everything,
-            kept,
-            kept.counted,
-            following(kept.experiments, initial),
-            f"the record for validation, {kept.count} samples",
-        )
-    cuts = [part.start + round((part.stop - part.start) * (1.0 - _KEPT_APART)) for part in record.experiments]
-    cuts = [cut - quiet for cut in cuts]
-    firsts = [slice(part.start, cut) for part, cut in zip(experiments, cuts, strict=True)]
-    lasts = [np.arange(cut, part.stop) for part, cut in zip(experiments, cuts, strict=True)]
-    u, y = (np.concatenate([signal[first] for first in firsts]) for signal in (u, y))
-    several = " of each experiment" if len(firsts) > 1 else ""
-    tails = np.concatenate(lasts)
-    return Split(
-        Data(u, y, joined(first.stop - first.start for first in firsts), start, initial),
-        everything,
-        everything,
-        tails,
-        joined(map(len, lasts)),
-        f"the last fifth{several}, {len(tails)} samples",
-    )
+    def worth(self, by: By) -> float:
+        """The criterion: the lower, the better."""
+        return self.rms if by == "validation" else self.aic if by == "aic" else self.bic
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
     """All that was tried, and what was chosen, see :func:`identify` (which has an example).
 
-    ``chosen`` is the trial with the fewest numbers (of a long record, the best) among those whose mean
+    ``chosen`` is the trial with the fewest parameters (of a long record, the best) among those whose mean
     squared error on the samples kept apart is within one standard error of the least (of the difference, in
-    batches; ``within`` counts the places of these trials), ``model_fit`` its fit to all samples, and
-    ``parts`` what it was chosen by.
+    batches; ``within`` counts the places of these trials), or the one with the least criterion, as ``by``
+    says. ``model_fit`` is its fit to all samples, ``parts`` what it was chosen by, and ``notes`` say what was
+    not tried and why.
     """
 
     trials: tuple[Trial, ...]
@@ -145,6 +96,8 @@ class Identification:
     chosen: Trial
     model_fit: ChainFit
     parts: Split
+    by: By
+    notes: tuple[str, ...] = ()
 
     def estimate(self, record: Record) -> Estimate:
         """The chosen model, fitted to all of the record."""
@@ -163,27 +116,11 @@ class Identification:
         return judgement(self.parts.input, self.parts.output, made, self.parts.kept_experiments)
 
 
-def quiet_beginning(record: Record, kept: int) -> int:
-    """How many first samples say nothing, as input and output are at rest; ``kept`` of the rest stay.
-
-    A rest has its own noise and its own drift, which a fit would take for the system's.
-    """
-    blocks = len(record) // _BLOCK
-    if blocks < _SEVERAL:
-        return 0
-    spreads = [
-        np.var(signal[: blocks * _BLOCK].reshape(blocks, _BLOCK), axis=1) for signal in (record.u, record.y)
-    ]
-    moves = np.any([spread > _AT_REST * np.mean(spread) for spread in spreads], axis=0)
-    # A block that moves by itself, as a record's first may, is no beginning.
-    mostly = np.convolve(moves, np.full(_SEVERAL, 1.0 / _SEVERAL), "valid") >= 0.5
-    return max(int(np.argmax(mostly)) * _BLOCK - kept, 0)
-
-
 def identify(
     record: Record,
     structures: Sequence[str] = tuple(STRUCTURES),
     *,
+    by: By = "validation",
     n_init: int | None = None,
     start: Start = "settled",
     tell: Callable[[Trial], None] = lambda trial: None,
@@ -197,6 +134,8 @@ def identify(
         of its experiments, simulated from the record's beginning.
     structures : sequence of str
         Names among :data:`hident.identification.candidates.STRUCTURES`.
+    by : {"validation", "aic", "bic"}
+        What decides: the simulation of the samples kept apart, or a criterion of those that are fitted.
     n_init : int, optional
         First samples of each experiment that are not fitted; by default 250, or a twentieth of the shortest.
     start : {"settled", "rest"}
@@ -222,78 +161,179 @@ def identify(
     import scipy.linalg  # noqa: F401  (its BLAS must be loaded to be held)
     from threadpoolctl import threadpool_limits
 
+    if by not in get_args(By):
+        raise ValueError(f"'by' must be one of {', '.join(get_args(By))}, not {by!r}")
     require_usable(record)
     # On matrices of a few rows, BLAS's threads take several times the processor time of one.
     with threadpool_limits(1):
-        return _identified(record, structures, n_init, start, tell)
+        return _Search(split(record, n_init, start), by, tell).identified(structures)
 
 
-def _identified(
-    record: Record,
-    structures: Sequence[str],
-    n_init: int | None,
-    start: Start,
-    tell: Callable[[Trial], None],
-) -> Identification:
-    parts = split(record, n_init, start)
-    if parts.estimation.count < _FEWEST or len(parts.output) < _FEWEST:
-        raise EstimationError(
-            f"{parts.estimation.count} samples to fit and {len(parts.output)} to choose by are too few: at "
-            f"least {_FEWEST} of each, beside the first {parts.everything.n_init} samples"
+class _Search:
+    """What has been tried on a record so far, and what decides."""
+
+    def __init__(self, parts: Split, by: By, tell: Callable[[Trial], None]) -> None:
+        if parts.estimation.count < _FEWEST or len(parts.output) < _FEWEST:
+            raise EstimationError(
+                f"{parts.estimation.count} samples to fit and {len(parts.output)} to choose by are too few: "
+                f"at least {_FEWEST} of each, beside the first {parts.everything.n_init} samples"
+            )
+        self.parts, self.by, self._tell = parts, by, tell
+        self.trials: list[Trial] = []
+        self.short = parts.estimation.busiest(_COMPARED)
+        self.lag = first_lag(parts.estimation)
+        self.functions = Functions.of_input(parts.estimation.u)
+
+    def identified(self, structures: Sequence[str]) -> Identification:
+        n = self._linear_order()
+        for structure in structures:
+            if structure != "linear" and self.functions.of(structure):
+                self._grow(structure, n)
+        wanted = [one for one in self.trials if one.fit is not None and one.structure in structures]
+        if not wanted:
+            reasons = [*self.functions.notes(structures), *(one.reason for one in self.trials if one.reason)]
+            reason = next(iter(reasons), "no structure was asked for")
+            raise EstimationError(f"nothing could be fitted: {reason}")
+        wanted = (
+            self._pruned(wanted) if len(self.short.u) == len(self.parts.estimation.u) else self._whole(wanted)
         )
-    initial = parts.everything.n_init
-    short = parts.estimation.busiest(_COMPARED)
-    trials: list[Trial] = []
+        # A few parameters more are no risk beside the samples of a long record.
+        is_long = len(self.short.u) < len(self.parts.estimation.u)
+        chosen = best(wanted, self.by) if is_long else simplest(wanted, self.by)
+        fit = chosen.fit
+        assert fit is not None
+        if self.parts.everything is not self.parts.estimation:
+            again = continued(chosen.spec.structure(), fit.point.parameters.chain, self.parts.everything)
+            fit = _counted_as(again, fit)
+        near = near_the_best(wanted)
+        within = frozenset(i for i, one in enumerate(self.trials) if one in near)
+        notes = self.functions.notes(structures)
+        return Identification(tuple(self.trials), within, chosen, fit, self.parts, self.by, notes)
 
-    def tried(trial: Trial) -> Trial:
-        trials.append(trial)
-        tell(trial)
+    def _linear_order(self) -> int:
+        """The order of the linear model that is chosen."""
+        highest = _MORE_LINEAR if len(self.short.u) >= _MANY else _MOST_LINEAR
+        few = self.short.busiest(_ORDERS)
+        linear = [
+            self._fitted("linear", self._chain("linear", n), few, _LINEAR_STARTS)
+            for n in range(1, highest + 1)
+        ]
+        return 1 + linear.index(simplest(linear, self.by)) if any(one.fit for one in linear) else 2
+
+    def _chain(
+        self, structure: str, n: int | Sequence[Orders], *static: Mapping[str, Any]
+    ) -> PredictionError:
+        """The chain of a structure with these orders, or those for a linear approximation of order n."""
+        orders = orders_of(structure, n, self.lag) if isinstance(n, int) else n
+        everything = self.parts.everything
+        return chain(structure, orders, static, n_init=everything.n_init, start=everything.start)
+
+    def _grow(self, structure: str, n: int) -> None:
+        """Orders around the linear ones with one static function, then others with the best of them."""
+        step = STRUCTURES[structure].count("L")
+        tried = self.functions.of(structure)
+        few = self.short.busiest(_ORDERS)
+        first: list[Trial] = []
+        seen = set()
+        waiting = [max(n - step, 1), n, n + step]
+        while waiting:
+            m = waiting.pop(0)
+            orders = orders_of(structure, m, self.lag)
+            if tuple(orders) in seen:
+                continue
+            seen.add(tuple(orders))
+            first.append(self._fitted(structure, self._chain(structure, orders, *tried[0]), few))
+            # While the highest orders are the best, there may be better ones.
+            least = min(one.worth(self.by) for one in first)
+            if not waiting and first[-1].worth(self.by) <= least < np.inf and m + step <= _HIGHEST:
+                waiting.append(m + step)
+        start = self._fewest_of_close(first)
+        for static in tried[1:]:
+            if start is not None:
+                self._gone_on(self._chain(structure, list(_orders(start.spec)), *static), start, self.short)
+            else:
+                # A record may tell the parameters of simpler functions apart.
+                self._fitted(structure, self._chain(structure, n, *static), self.short)
+
+    def _fewest_of_close(self, trials: Sequence[Trial]) -> Trial | None:
+        found = [one for one in trials if one.fit is not None]
+        if self.by != "validation":
+            return best(found, self.by) if found else None
+        least = min((one.rms for one in found), default=np.inf)
+        close = [one for one in found if one.rms <= _CLOSE * least]
+        return min(close, key=lambda one: one.count, default=None)
+
+    def _pruned(self, wanted: list[Trial]) -> list[Trial]:
+        """Those wanted, and lower orders with the function that is chosen.
+
+        Orders were compared with another function: with the chosen one, lower ones may do.
+        """
+        chosen = simplest(wanted, self.by)
+        while (spec := _smaller(chosen.spec)) is not None:
+            smaller = self._fitted(chosen.structure, spec, self.short)
+            if smaller.fit is None or simplest([*wanted, smaller], self.by) is not smaller:
+                break
+            wanted = [*wanted, smaller]
+            chosen = smaller
+        return wanted
+
+    def _whole(self, wanted: list[Trial]) -> list[Trial]:
+        """The best few, fitted to all that is to be fitted: a part cannot tell rich functions apart."""
+        few = sorted(wanted, key=lambda one: one.worth(self.by))[:_WHOLE]
+        whole = [self._gone_on(one.spec, one, self.parts.estimation) for one in few]
+        return [one for one in whole if one.fit is not None] or wanted
+
+    def _fitted(self, structure: str, spec: PredictionError, data: Data, most_starts: int = 8) -> Trial:
+        """A chain fitted to data from starts of its own."""
+        try:
+            fit = fit_chain(spec.structure(), data, most_starts=most_starts, max_iterations=_ORDER_ITERATIONS)
+            return self._judged(structure, spec, fit)
+        except (EstimationError, np.linalg.LinAlgError) as error:
+            return self._told(Trial(structure, spec, reason=str(error)))
+
+    def _gone_on(self, spec: PredictionError, begun: Trial, data: Data) -> Trial:
+        """A chain fitted to data, from where another one with the same linear blocks ended."""
+        assert begun.fit is not None
+        most = _FUNCTION_ITERATIONS if data.count < _COMPARED // 2 else _ORDER_ITERATIONS
+        try:
+            fit = continued(spec.structure(), begun.fit.point.parameters.chain, data, most)
+            return self._judged(begun.structure, spec, _counted_as(fit, begun.fit))
+        except (EstimationError, np.linalg.LinAlgError) as error:
+            return self._told(Trial(begun.structure, spec, reason=str(error)))
+
+    def _judged(self, structure: str, spec: PredictionError, fit: ChainFit) -> Trial:
+        with np.errstate(all="ignore"):
+            fitted, kept = self.parts.errors(fit.point.parameters.chain)
+        if not (np.all(np.isfinite(kept)) and np.all(np.isfinite(fitted))):
+            return self._told(Trial(structure, spec, reason="the simulation of the record is not finite"))
+        # A factor between a linear block and a static function is no parameter.
+        count = fit.point.parameters.count() - STRUCTURES[structure].count("L")
+        estimation = float(np.sqrt(np.mean(fitted**2)))
+        return self._told(Trial(structure, spec, count, fit, estimation, len(fitted), kept**2))
+
+    def _told(self, trial: Trial) -> Trial:
+        self.trials.append(trial)
+        self._tell(trial)
         return trial
 
-    lag = first_lag(parts.estimation)
-    highest = _MORE_LINEAR if len(short.u) >= _MANY else _MOST_LINEAR
-    few = short.busiest(_ORDERS)
-    linear = [
-        tried(_fitted("linear", spec, few, parts, _LINEAR_STARTS))
-        for n in range(1, highest + 1)
-        for spec in [chain("linear", orders_of("linear", n, lag), {}, n_init=initial, start=start)]
-    ]
-    n = 1 + linear.index(_simplest(linear)) if any(one.fit for one in linear) else 2
-    for structure in structures:
-        if structure != "linear":
-            _grow(structure, n, lag, short, parts, tried)
-    wanted = [one for one in trials if one.fit is not None and one.structure in structures]
-    if not wanted:
-        reason = next((one.reason for one in trials if one.reason), "no structure was asked for")
-        raise EstimationError(f"nothing could be fitted: {reason}")
-    chosen = _simplest(wanted)
-    # The orders were compared with another function: with the chosen one, lower ones may do.
-    while len(short.u) == len(parts.estimation.u) and (spec := _smaller(chosen.spec)) is not None:
-        smaller = tried(_fitted(chosen.structure, spec, short, parts))
-        if smaller.fit is None or _simplest([*wanted, smaller]) is not smaller:
-            break
-        wanted.append(smaller)
-        chosen = smaller
-    assert chosen.fit is not None
-    if len(short.u) < len(parts.estimation.u):
-        # A part of a long record cannot tell rich functions apart: the best few go on to all that is fitted.
-        best = sorted(wanted, key=lambda one: one.rms)[:_WHOLE]
-        whole = [
-            tried(_gone_on(one.structure, one.spec, one.fit, parts.estimation, parts))
-            for one in best
-            if one.fit is not None
-        ]
-        wanted = [one for one in whole if one.fit is not None] or wanted
-        # A few numbers more are no risk beside so many samples.
-        chosen = min(wanted, key=lambda one: one.rms)
-    model_fit = chosen.fit
-    assert model_fit is not None
-    if parts.everything is not parts.estimation:
-        again = continued(chosen.spec.structure(), model_fit.point.parameters.chain, parts.everything)
-        model_fit = _counted_as(again, model_fit)
-    near = _near_the_best(wanted)
-    within = frozenset(i for i, one in enumerate(trials) if one in near)
-    return Identification(tuple(trials), within, chosen, model_fit, parts)
+
+def best(trials: Sequence[Trial], by: By) -> Trial:
+    """The trial with the least criterion."""
+    return trials[first_least([one.worth(by) for one in trials])]
+
+
+def near_the_best(trials: Sequence[Trial]) -> list[Trial]:
+    """The trials that the samples kept apart do not tell from the best of them."""
+    found = [one for one in trials if one.fit is not None]
+    near = within_one_standard_error([one.validation for one in found])
+    return [one for one, is_near in zip(found, near, strict=True) if is_near]
+
+
+def simplest(trials: Sequence[Trial], by: By) -> Trial:
+    """The one with the fewest parameters that cannot be told from the best; by a criterion, the best."""
+    if by != "validation":
+        return best(trials, by)
+    return min(near_the_best(trials), key=lambda one: (one.count, one.rms))
 
 
 def first_lag(data: Data) -> int:
@@ -301,45 +341,6 @@ def first_lag(data: Data) -> int:
     found = correlation(data.u, data.y, data.experiments)
     shown = None if found is None else delay(found)
     return 0 if shown is None else shown.low
-
-
-def _grow(
-    structure: str,
-    n: int,
-    lag: int,
-    short: Data,
-    parts: Split,
-    tried: Callable[[Trial], Trial],
-) -> None:
-    """Orders around the linear ones with one static function, then other functions with the best of them."""
-    step = STRUCTURES[structure].count("L")
-    initial, start = parts.everything.n_init, parts.everything.start
-    first: list[Trial] = []
-    seen = set()
-    waiting = [max(n - step, 1), n, n + step]
-    while waiting:
-        m = waiting.pop(0)
-        orders = orders_of(structure, m, lag)
-        if tuple(orders) in seen:
-            continue
-        seen.add(tuple(orders))
-        spec = chain(structure, orders, FIRST_STATIC, n_init=initial, start=start)
-        first.append(tried(_fitted(structure, spec, short.busiest(_ORDERS), parts)))
-        # While the highest orders are the best, there may be better ones.
-        if not waiting and first[-1].rms <= min(one.rms for one in first) < np.inf and m + step <= _HIGHEST:
-            waiting.append(m + step)
-    found = [one for one in first if one.fit is not None]
-    least = min((one.rms for one in found), default=np.inf)
-    close = [one for one in found if one.rms <= _CLOSE * least]
-    best = min(close, key=lambda one: one.count, default=None)
-    for static in STATIC:
-        if best is not None and best.fit is not None:
-            spec = chain(structure, list(_orders(best.spec)), static, n_init=initial, start=start)
-            tried(_gone_on(structure, spec, best.fit, short, parts))
-        elif static["kind"] != FIRST_STATIC["kind"]:
-            # An input of few levels may tell the numbers of simpler functions apart.
-            simpler = chain(structure, orders_of(structure, n, lag), static, n_init=initial, start=start)
-            tried(_fitted(structure, simpler, short, parts))
 
 
 def _orders(spec: PredictionError) -> Iterator[Orders]:
@@ -359,51 +360,6 @@ def _smaller(spec: PredictionError) -> PredictionError | None:
     return PredictionError(blocks=blocks, n_init=spec.n_init, start=spec.start)
 
 
-def _fitted(structure: str, spec: PredictionError, data: Data, parts: Split, most_starts: int = 8) -> Trial:
-    try:
-        fit = fit_chain(spec.structure(), data, most_starts=most_starts, max_iterations=_ORDER_ITERATIONS)
-        return _judged(structure, spec, fit, parts)
-    except (EstimationError, np.linalg.LinAlgError) as error:
-        return Trial(structure, spec, reason=str(error))
-
-
-def _gone_on(structure: str, spec: PredictionError, fit: ChainFit, data: Data, parts: Split) -> Trial:
-    try:
-        most = _FUNCTION_ITERATIONS if data.count < _COMPARED // 2 else _ORDER_ITERATIONS
-        found = continued(spec.structure(), fit.point.parameters.chain, data, most)
-        return _judged(structure, spec, _counted_as(found, fit), parts)
-    except (EstimationError, np.linalg.LinAlgError) as error:
-        return Trial(structure, spec, reason=str(error))
-
-
 def _counted_as(fit: ChainFit, search: ChainFit) -> ChainFit:
     """The fit with the starts of the search that it goes on from."""
     return replace(fit, starts=search.starts, finalists=search.finalists, agreeing=search.agreeing)
-
-
-def _judged(structure: str, spec: PredictionError, fit: ChainFit, parts: Split) -> Trial:
-    with np.errstate(all="ignore"):
-        errors = parts.output - parts.simulated(fit.point.parameters.chain)
-    if not np.all(np.isfinite(errors)):
-        return Trial(structure, spec, reason="the simulation of the samples kept apart is not finite")
-    estimation = float(np.sqrt(fit.point.loss / fit.point.data.count))
-    return Trial(structure, spec, fit.point.parameters.count(), fit, estimation, errors**2)
-
-
-def _near_the_best(trials: Sequence[Trial]) -> list[Trial]:
-    """The trials whose mean squared error is within one standard error of the least, paired, in batches."""
-    found = [one for one in trials if one.fit is not None]
-    best = min(found, key=lambda one: one.rms)
-    near = []
-    for one in found:
-        more = one.validation - best.validation
-        means = np.array([batch.mean() for batch in np.array_split(more, min(_BATCHES, len(more)))])
-        error = float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 1 else 0.0
-        if float(np.mean(more)) <= error:
-            near.append(one)
-    return near
-
-
-def _simplest(trials: Sequence[Trial]) -> Trial:
-    near = _near_the_best(trials)
-    return min(near, key=lambda one: (one.count, one.rms))

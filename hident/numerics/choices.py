@@ -8,13 +8,19 @@ preference, the simplest first.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from hident.numerics.bootstrap import block_length
+from hident.numerics.parts import whole
 
 TIE = 1e-9
 """Two values this close, relative to the smaller one, are one."""
 ROUNDING = 1e-13
 """A value this small, relative to the terms that it was computed from, is rounding."""
+_FEWEST_BATCHES, _BATCHES = 4, 20
 
 
 def nearly_least(values: ArrayLike, *, factor: float = 1.0, scale: float = 0.0) -> NDArray[np.bool_]:
@@ -80,6 +86,36 @@ def simplest(values: ArrayLike, sizes: ArrayLike, *, factor: float, scale: float
     near = np.flatnonzero(nearly_least(values, factor=factor, scale=scale))
     alike = near[sizes[near] == sizes[near].min()]
     return int(alike[first_least(values[alike], scale=scale)])
+
+
+def within_one_standard_error(squared: Sequence[NDArray[np.float64]]) -> NDArray[np.bool_]:
+    """Which candidates (C,) have a mean squared error within one standard error of the least.
+
+    Where that is so, the data do not tell them apart, and the simplest will do (Breiman, Friedman, Olshen,
+    Stone 1984, section 3.4.3). The standard error is that of the difference from the best candidate, sample
+    by sample, from the means of 4 to 20 batches, which are longer than the difference remembers, as errors
+    that follow each other are alike.
+
+    Parameters
+    ----------
+    squared : sequence of C arrays, shape (N,)
+        The squared errors of each candidate at the same samples, in the order of time.
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(0).chisquare(1, 1000)
+    >>> within_one_standard_error([noise, noise + 1e-12, 1.5 * noise])
+    array([ True,  True, False])
+    """
+    best = squared[int(np.argmin([np.mean(one) for one in squared]))]
+    near = []
+    for one in squared:
+        more = one - best
+        batches = min(max(len(more) // block_length(more, whole(len(more))), _FEWEST_BATCHES), _BATCHES)
+        means = [batch.mean() for batch in np.array_split(more, min(batches, len(more)))]
+        error = float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 1 else 0.0
+        near.append(float(np.mean(more)) <= error + TIE * float(np.mean(best)))
+    return np.array(near)
 
 
 def sorting(values: NDArray[np.float64]) -> NDArray[np.intp]:

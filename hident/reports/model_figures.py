@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hident.arrays import Array, Complex
+from hident.arrays import Array
+from hident.block_chain import BlockChain
 from hident.fitted_model import FittedModel
 from hident.linear_blocks import MOST_POLES, TransferFunction
 from hident.models.formulas import time_unit
-from hident.reports.style import ESTIMATE, LINES, TRUE_LEVEL, label_edges, legend_above, panel_rows
+from hident.reports.style import (
+    ESTIMATE,
+    LINES,
+    TRUE_LEVEL,
+    draw_band,
+    label_edges,
+    legend_above,
+    panel_rows,
+)
 from hident.sampled_blocks import SampledTransferFunction
 from hident.static_functions import StaticFunction
 
@@ -27,17 +36,21 @@ _SHORTEST, _LONGEST = 20, 2000
 _REACH = 2.5
 """How far from the origin poles and zeros are shown."""
 _CURVE = {**LINES[0], "marker": ""}
+_BAND = 0.9
 
 
-def figures(model: FittedModel) -> Mapping[str, Callable[[], Figure]]:
-    """What can be drawn of a model, by the name of its file; nothing where there are no such blocks."""
+def figures(model: FittedModel, others: Sequence[BlockChain] = ()) -> Mapping[str, Callable[[], Figure]]:
+    """What can be drawn of a model, by the name of its file; nothing where there are no such blocks.
+
+    ``others`` are the same chain fitted to other data, such as bootstraps, whose spread is a band.
+    """
     chain = model.chain
     found: dict[str, Callable[[], Figure]] = {}
     if chain.static:
-        found["static_functions.png"] = lambda: _static_functions(model)
+        found["static_functions.png"] = lambda: _static_functions(model, others)
     if chain.linear:
-        found["bode.png"] = lambda: _bode(model)
-        found["step_responses.png"] = lambda: _step_responses(model)
+        found["bode.png"] = lambda: _bode(model, others)
+        found["step_responses.png"] = lambda: _step_responses(model, others)
         found["poles_zeros.png"] = lambda: _poles_zeros(model)
     return found
 
@@ -57,13 +70,13 @@ def _signal_label(model: FittedModel, side: str, place: int, name: str) -> str:
     return f"{side} of {name}" + (f" ({unit})" if outer and unit else "")
 
 
-def _static_functions(model: FittedModel) -> Figure:
+def _static_functions(model: FittedModel, others: Sequence[BlockChain]) -> Figure:
     blocks = _named(model, StaticFunction)
     figure, grid = panel_rows(len(blocks), 3, (3.4, 2.6), _AROUND)
     for axes, (place, name) in zip(grid.flat, blocks, strict=False):
         function = model.chain.blocks[place]
         assert isinstance(function, StaticFunction)
-        _static_function(axes, function, model.range_of(place))
+        _static_function(axes, function, model.range_of(place), [other.blocks[place] for other in others])
         axes.set_title(f"{name}: {function.basis.kind.replace('_', ' ')}")
         axes.set_xlabel(_signal_label(model, "input", place, name))
         axes.set_ylabel(_signal_label(model, "output", place, name))
@@ -71,7 +84,9 @@ def _static_functions(model: FittedModel) -> Figure:
     return figure
 
 
-def _static_function(axes: Axes, function: StaticFunction, fitted: tuple[float, float] | None) -> None:
+def _static_function(
+    axes: Axes, function: StaticFunction, fitted: tuple[float, float] | None, others: Sequence[Any]
+) -> None:
     """The curve where it was fitted, and a little beyond: there it is a line that no sample supports."""
     basis: Any = function.basis
     corners = function.range
@@ -81,6 +96,8 @@ def _static_function(axes: Axes, function: StaticFunction, fitted: tuple[float, 
     x = np.union1d(np.linspace(first, last, _POINTS), [low, high, *(c for c in corners if first < c < last)])
     y = function(x)
     inside = (x >= low) & (x <= high) if fitted else np.full(len(x), True)
+    if others:
+        draw_band(axes, x, np.array([other(x) for other in others]), _CURVE, "bootstrap", _BAND)
     axes.plot(x[inside], y[inside], label="where it was fitted" if fitted else None, **_CURVE)
     for beyond in (x <= low, x >= high) if fitted else ():
         label = "beyond" if beyond[0] else None
@@ -102,7 +119,7 @@ def _frequency(model: FittedModel) -> tuple[float, str]:
     return 1.0 / (2.0 * math.pi * dt), f"frequency ({named})"
 
 
-def _bode(model: FittedModel) -> Figure:
+def _bode(model: FittedModel, others: Sequence[BlockChain]) -> Figure:
     blocks = _named(model, TransferFunction)
     count = len(blocks)
     figure, grid = panel_rows(2 * count, count, (3.4, 2.0), _AROUND, sharex=True)
@@ -111,25 +128,38 @@ def _bode(model: FittedModel) -> Figure:
     for column, (place, name) in enumerate(blocks):
         block = model.chain.blocks[place]
         assert isinstance(block, TransferFunction)
-        response = _response(block, omega)
         gains, phases = grid[0, column], grid[1, column]
-        size = np.maximum(np.abs(response), np.finfo(float).tiny)
-        gains.semilogx(scale * omega, 20.0 * np.log10(size), **_CURVE)
-        phases.semilogx(scale * omega, np.degrees(np.unwrap(np.angle(response))), **_CURVE)
+        curves = [_gain_and_phase(other.blocks[place], omega) for other in others]
+        for axes, values, spread in zip(
+            (gains, phases),
+            _gain_and_phase(block, omega),
+            np.moveaxis(np.array(curves), 1, 0) if curves else ((), ()),
+            strict=True,
+        ):
+            if curves:
+                draw_band(axes, scale * omega, spread, _CURVE, "bootstrap", _BAND)
+            axes.semilogx(scale * omega, values, **_CURVE)
         gains.set_title(name)
         gains.set_xlim(scale * omega[0], 1.25 * scale * math.pi)
     label_edges(grid, label, "")
     grid[0, 0].set_ylabel("gain (dB)")
     grid[1, 0].set_ylabel("phase (degrees)")
+    legend_above(figure)
     return figure
 
 
-def _response(block: TransferFunction, omega: Array) -> Complex:
-    """The complex gain at frequencies in radians per sample; of a continuous block without the hold."""
+def _gain_and_phase(block: Any, omega: Array) -> tuple[Array, Array]:
+    """Gain in dB and phase in degrees at frequencies in radians per sample, unwound from the first.
+
+    Those of a continuous block are without the hold.
+    """
     if isinstance(block, SampledTransferFunction):
-        return block.continuous.frequency_response(omega / block.dt)
-    q = np.exp(-1j * omega)
-    return np.asarray(np.polyval(block.b[::-1], q) / np.polyval(block.denominator[::-1], q))
+        response = block.continuous.frequency_response(omega / block.dt)
+    else:
+        q = np.exp(-1j * omega)
+        response = np.polyval(block.b[::-1], q) / np.polyval(block.denominator[::-1], q)
+    size = np.maximum(np.abs(response), np.finfo(float).tiny)
+    return 20.0 * np.log10(size), np.degrees(np.unwrap(np.angle(response)))
 
 
 def _slowest(block: TransferFunction) -> float:
@@ -137,7 +167,7 @@ def _slowest(block: TransferFunction) -> float:
     return max(1e-5, abs(1.0 - block.radius())) if len(block.a) <= MOST_POLES else 1e-3
 
 
-def _step_responses(model: FittedModel) -> Figure:
+def _step_responses(model: FittedModel, others: Sequence[BlockChain]) -> Figure:
     blocks = _named(model, TransferFunction)
     figure, grid = panel_rows(len(blocks), 3, (3.4, 2.4), _AROUND)
     dt, unit = model.chain.dt or 1.0, time_unit(model)
@@ -147,7 +177,11 @@ def _step_responses(model: FittedModel) -> Figure:
         radius = block.radius() if len(block.a) <= MOST_POLES else 0.999
         decay = math.log(1e-3) / math.log(radius) if 0.0 < radius < 1.0 else 0.0
         samples = int(np.clip(decay + 2 * len(block.b), _SHORTEST, _LONGEST))
-        response = block.filter(np.ones(samples))
+        step = np.ones(samples)
+        response = block.filter(step)
+        if others:
+            spread = np.array([_filtered(other.blocks[place], step) for other in others])
+            draw_band(axes, np.asarray(dt * np.arange(samples)), spread, _CURVE, "bootstrap", _BAND)
         axes.step(dt * np.arange(samples), response, where="post", **_CURVE)
         if block.is_stable():
             gain = block.static_gain()
@@ -158,6 +192,10 @@ def _step_responses(model: FittedModel) -> Figure:
         axes.set_xlabel(f"time ({unit})" if unit else "time")
     grid.flat[0].set_ylabel("response to a step of 1")
     return figure
+
+
+def _filtered(block: Any, x: Array) -> Array:
+    return np.asarray(block.filter(x))
 
 
 def _poles_zeros(model: FittedModel) -> Figure:
@@ -207,17 +245,26 @@ def _of_time(model: FittedModel) -> str:
 
 
 def comparison(
-    time: Array, label: str, u: Array, made: Array, y: Array | None, names: tuple[str, str, str]
+    time: Array,
+    label: str,
+    u: Array,
+    made: Array,
+    y: Array | None,
+    names: tuple[str, str, str],
+    others: Sequence[Array] = (),
 ) -> Figure:
     """The model's output over time beside the measured one, their difference, and the input.
 
-    ``names`` are the labels of the input, of the output, and what the model's output is.
+    ``others`` are the outputs of the same chain fitted to other data, such as bootstraps. ``names`` are the
+    labels of the input, of the output, and what the model's output is.
     """
     count = 2 if y is None else 3
     figure, grid = panel_rows(count, 1, (6.4, 1.8), (0.4, 0.4), sharex=True)
     outputs, *rest = grid[:, 0]
     if y is not None:
         outputs.plot(time, y, label="measured", color="black", linewidth=0.9)
+    if others:
+        draw_band(outputs, time, np.array(others), ESTIMATE, "bootstrap", _BAND)
     outputs.plot(time, made, label=names[2], **{**ESTIMATE, "linestyle": "--" if y is not None else "-"})
     outputs.set_ylabel(names[1])
     if y is not None:

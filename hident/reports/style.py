@@ -8,6 +8,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from hident.arrays import Array
 from hident.engine.run_files import Format
 from hident.reports import canvas
 
@@ -118,6 +121,18 @@ def marked(look: Look, place: int, points: int) -> Look:
 def band_edge(look: Look) -> Look:
     """The look of the edges of a band, which tell overlapping ones apart without colour."""
     return {**look, "linewidth": 0.6, "alpha": 0.6, "marker": ""}
+
+
+def draw_band(axes: Axes, x: Array, curves: Array, look: Look, label: str, share: float) -> None:
+    """The band that holds this central share of some curves (T, K) at each point x (K,); nothing of one."""
+    curves = curves[np.all(np.isfinite(curves), axis=1)]
+    if len(curves) < 2:
+        return
+    low, high = np.quantile(curves, [0.5 - share / 2.0, 0.5 + share / 2.0], axis=0)
+    named = f"{label}, central {100 * share:g} %"
+    axes.fill_between(x, low, high, color=look["color"], alpha=0.2, linewidth=0, label=named)
+    for edge in (low, high):
+        axes.plot(x, edge, **band_edge(look))
 
 
 def beside(columns: int, width: float) -> int:

@@ -67,7 +67,18 @@ def test_the_commands_lead_from_a_file_to_a_model_elsewhere(folder: Path) -> Non
     assert json.loads((folder / "tanks/model.json").read_text(encoding="utf-8"))
     assert "fit" in (folder / "simulate.txt").read_text(encoding="utf-8")
     table = (folder / "identify.txt").read_text(encoding="utf-8")
-    names = ("structure", "blocks", "numbers", "fitted", "kept apart", "fit %", "BIC", "agreeing", "chosen")
+    names = (
+        "structure",
+        "blocks",
+        "parameters",
+        "fitted",
+        "kept apart",
+        "fit %",
+        "AIC",
+        "BIC",
+        "agreeing",
+        "chosen",
+    )
     assert all(name in table for name in names)
     written = {path.name for path in (folder / "tanks").iterdir()}
     assert {"model.json", "table.md", "kept_apart.png", "experiment.yaml"} <= written

@@ -11,21 +11,15 @@ import yaml
 import hident as hi
 from hident.errors import EstimationError
 from hident.estimators.prediction_error.criterion import Data
-from hident.identification.candidates import STRUCTURES, Orders, chain, orders_of
-from hident.identification.identify import (
-    Trial,
-    _near_the_best,
-    _simplest,
-    first_lag,
-    identify,
-    quiet_beginning,
-    split,
-)
+from hident.identification.bootstrap import bootstrap
+from hident.identification.candidates import STRUCTURES, Functions, Orders, chain, orders_of
+from hident.identification.identify import Trial, first_lag, identify, near_the_best, simplest
+from hident.identification.split import quiet_beginning, split
 from hident.linear_blocks import TransferFunction
-from hident.records import Held, Part, Record
+from hident.records import Held, Part, Record, needed
 from tests.forked import run_forked
 
-SPEC = chain("linear", orders_of("linear", 1, 0), {})
+SPEC = chain("linear", orders_of("linear", 1, 0), ())
 
 
 def tank(samples, seed=0, noise=0.01):
@@ -143,16 +137,90 @@ def test_the_simplest_of_those_that_cannot_be_told_apart_is_chosen():
     best = _trial(20, common)
     near = _trial(5, common + 1e-4 * draws.standard_normal(1000) + 1e-6)
     worse = _trial(2, common * 1.5)
-    assert {id(one) for one in _near_the_best([worse, near, best])} >= {id(near), id(best)}
-    assert worse not in _near_the_best([worse, near, best])
-    assert _simplest([worse, near, best]) is near
+    assert {id(one) for one in near_the_best([worse, near, best])} >= {id(near), id(best)}
+    assert worse not in near_the_best([worse, near, best])
+    assert simplest([worse, near, best], "validation") is near
 
 
 def test_a_chain_that_is_clearly_worse_is_not_chosen_for_being_simple():
     draws = np.random.default_rng(0)
     common = draws.chisquare(1, 1000)
     best, worse = _trial(20, common), _trial(2, common + 0.05)
-    assert _simplest([worse, best]) is best
+    assert simplest([worse, best], "validation") is best
+
+
+def test_by_a_criterion_the_least_is_chosen_whatever_was_kept_apart():
+    small, large = (
+        Trial("linear", SPEC, count, fit=object(), estimation=rms, samples=100, validation=np.full(50, kept))  # type: ignore[arg-type]
+        for count, rms, kept in ((3, 1.0, 2.0), (9, 0.95, 1.0))
+    )
+    assert small.aic == pytest.approx(6.0)
+    assert large.bic == pytest.approx(100 * np.log(0.95**2) + 9 * np.log(100))
+    assert simplest([small, large], "validation") is large
+    assert simplest([small, large], "bic") is small
+    assert simplest([small, large], "aic") is small
+
+
+def test_a_short_fit_is_judged_on_all_that_is_to_be_fitted():
+    u, y = tank(9000)
+    found = identify(record_of(u, y), ["linear"], n_init=10)
+    # Orders are compared by fits to a part, and their criteria are of the same samples.
+    assert {one.samples for one in found.trials if one.fit} == {7190}
+    assert min(one.fit.point.data.count for one in found.trials if one.fit) < 7190
+
+
+class TestFewLevels:
+    def test_of_two_levels_no_static_function_at_the_input_is_tried(self):
+        draws = np.random.default_rng(0)
+        u = np.sign(draws.standard_normal(300))
+        y = TransferFunction((0.0, 0.4), (0.6,)).filter(u) + 0.01 * draws.standard_normal(300)
+        found = identify(record_of(u, y), ["linear", "hammerstein"])
+        assert {one.structure for one in found.trials} == {"linear"}
+        assert found.notes == (
+            "not tried: hammerstein, as the input has 2 levels, and a static function of two levels is a "
+            "line",
+        )
+        with pytest.raises(EstimationError, match="nothing could be fitted: not tried: hammerstein, as the"):
+            identify(record_of(u, y), ["hammerstein"])
+
+    def test_no_polynomial_beyond_the_levels_is_tried_before_the_linear_block(self):
+        levels = Functions.of_input(np.tile([0.0, 1.0, 3.0, 4.0], 50))
+        tried = [static for (static,) in levels.of("hammerstein")]
+        assert tried == [
+            {"kind": "piecewise_linear", "knots": 4},
+            {"kind": "polynomial", "degree": 2},
+        ]
+        # Behind a linear block there are more levels.
+        assert len(levels.of("wiener")) == len(Functions().of("wiener"))
+        assert {first["kind"] for first, _ in levels.of("hammerstein_wiener")} == {"piecewise_linear"}
+        assert "has 4 levels" in levels.notes(["linear", "hammerstein"])[0]
+        assert levels.notes(["linear", "wiener"]) == ()
+
+    def test_values_that_are_many_are_no_levels(self):
+        assert Functions.of_input(np.linspace(0.0, 1.0, 100)).levels is None
+        assert Functions.of_input(np.arange(10.0)).levels is None
+
+    def test_the_values_at_the_levels_are_found(self):
+        draws = np.random.default_rng(1)
+        u = draws.choice([-2.0, 0.0, 1.0, 3.0], 400)
+        exact = TransferFunction((0.0, 0.4), (0.6,)).filter(np.clip(u, -1.0, 2.0))
+        y = exact + 0.01 * draws.standard_normal(400)
+        found = identify(record_of(u, y), ["hammerstein"])
+        function = needed(found.estimate(record_of(u, y)).nonlinearity)
+        np.testing.assert_allclose(function(np.array([-2.0, 0.0, 1.0, 3.0])), [-1, 0, 1, 2], atol=0.02)
+
+
+def test_a_bootstrap_spreads_as_the_standard_errors_say():
+    u, y = tank(400, noise=0.1)
+    record = record_of(u, y)
+    found = identify(record, ["linear"])
+    again = bootstrap(found, 60)
+    assert again.failed == 0
+    spread = np.std([chain.linear[0].a[0] for chain in again.chains], ddof=1)
+    errors = found.estimate(record).values
+    assert spread == pytest.approx(errors["se_a_1"], rel=0.4)
+    same = bootstrap(found, 2)
+    assert same.chains == again.chains[:2]
 
 
 def test_two_linear_blocks_share_the_order_and_the_last_has_the_delay():
@@ -164,7 +232,8 @@ def test_two_linear_blocks_share_the_order_and_the_last_has_the_delay():
 
 @pytest.mark.parametrize("structure", STRUCTURES)
 def test_each_structure_is_an_estimator(structure):
-    spec = chain(structure, orders_of(structure, 2, 1), {"kind": "polynomial", "degree": 3}, n_init=5)
+    static = [{"kind": "polynomial", "degree": 3}] * STRUCTURES[structure].count("N")
+    spec = chain(structure, orders_of(structure, 2, 1), static, n_init=5)
     kinds = "-".join("L" if isinstance(block, hi.LinearBlock) else "N" for block in spec.blocks)
     # A linear model has a constant beside it, which is a static block.
     assert kinds == {"linear": "L-N"}.get(structure, STRUCTURES[structure])
@@ -191,6 +260,15 @@ def folder(tmp_path_factory):
     lines = ["valve,level", *(f"{a:.6g},{b:.6g}" for a, b in zip(u, y, strict=True))]
     (folder / "tank.csv").write_text("\n".join(lines) + "\n")
     return folder
+
+
+def test_bootstraps_are_bands_in_the_figures(folder):
+    arguments = ["identify", "tank.csv", "--input", "valve", "--output", "level", "--structure", "linear"]
+    done = run_forked([*arguments, "--bootstrap", "3", "--by", "bic", "--out", "bands"], folder)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "bands: 3 bootstraps of the residuals in blocks of" in done.stdout
+    assert "chosen by BIC" in done.stdout
+    assert (folder / "bands/bode.png").stat().st_size > 0
 
 
 def test_the_command_writes_a_model_a_table_and_a_configuration(folder):
@@ -223,6 +301,7 @@ def test_the_command_writes_a_model_a_table_and_a_configuration(folder):
             "error: --structure: unknown structure 'hamerstein'; did you mean 'hammerstein'? (allowed: "
             "linear, hammerstein, wiener, wiener_hammerstein, hammerstein_wiener)\n",
         ),
+        (["--by", "aicc"], "error: --by: must be validation, aic, bic, not 'aicc'; did you mean 'aic'?\n"),
         (["--n-init", "300"], "error: tank.csv: 0 samples to fit and 60 to choose by are too few: "),
     ],
 )

@@ -13,12 +13,12 @@ import pytest
 import hident as hi
 from hident import plugins
 from hident.engine.executors import make_executor
-from hident.engine.measurement import resampled
 from hident.engine.preflight import check_records
 from hident.engine.replay import OneTrial
 from hident.engine.runner import run, stored
 from hident.engine.store import Store
 from hident.errors import ConfigError
+from hident.numerics.bootstrap import resampled
 from hident.reports.output import Outputs
 from tests.unit.plans import planned, refusals, replaced
 

@@ -2,6 +2,7 @@
 
 import math
 import pickle
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -20,6 +21,7 @@ from hident.estimators.selection.folds import at_the_end, in_blocks
 from hident.model_output import simulated
 from hident.records import Held, Part, Record, needed
 from hident.reports.one_trial.searches import abscissa_of, draw_selection
+from hident.reports.output import check
 from hident.reports.style import subplots
 from tests.unit.plans import planned, refusals, replaced
 
@@ -444,6 +446,131 @@ class TestPassesThrough:
         kernel = hi.Kernel(kernel="gaussian", bandwidth={"h0": 9, "alpha": 0})
         one = hi.Select(by="leave_one_out", over={"bandwidth.h0": np.array(WIDTHS)}, estimator=kernel)
         assert one == hi.Select(by="leave_one_out", over={"bandwidth.h0": WIDTHS}, estimator=KERNEL)
+
+
+def with_validation(samples=300, std=0.1):
+    fitted, other = (record_of(samples, std=std, seed=seed) for seed in (1, 2))
+    return replace(fitted, validation=other)
+
+
+CHAIN = {
+    "kind": "prediction_error",
+    "blocks": [{"kind": "polynomial", "degree": 2}, {"kind": "linear", "nb": 3}],
+}
+ORDERS = {"blocks.0.degree": ["1..6"], "blocks.1.nb": [2, 3, 4]}
+
+
+class TestOfAChain:
+    def test_orders_and_kinds_of_blocks_are_chosen_by_the_validation_part(self):
+        record = with_validation()
+        kinds = [{"kind": "polynomial", "degree": 3}, {"kind": "piecewise_linear", "knots": 3}]
+        chosen = hi.Select(by="validation", over={"blocks.0": kinds, "blocks.1.nb": [1, 3]}, estimator=CHAIN)
+        found = selected(hi.fit(chosen, record))
+        assert found.estimator.blocks[0].degree == 3
+        assert found.estimator.blocks[1].nb == 3
+        errors = found.estimator.errors(found.estimator.fit(record), record.validation)
+        assert found.criterion[found.chosen] == pytest.approx(np.nanmean(errors**2))
+        assert [found.word("blocks.0", i) for i in (0, 1)] == [
+            "polynomial degree 3",
+            "piecewise_linear knots 3",
+        ]
+
+    def test_the_simplest_is_taken_that_cannot_be_told_from_the_best(self):
+        record = with_validation()
+        best, simplest = (
+            selected(hi.fit(hi.Select(by="validation", take=take, over=ORDERS, estimator=CHAIN), record))
+            for take in ("best", "simplest")
+        )
+        assert best.near is not None
+        near = np.flatnonzero(best.near)
+        assert best.chosen in near
+        assert simplest.chosen in near
+        assert simplest.parameters[simplest.chosen] == min(best.parameters[i] for i in near) == 6
+        assert best.criterion[best.chosen] == min(best.criterion)
+
+    def test_criteria_of_the_fits_stand_beside_the_validation_error(self):
+        record = with_validation()
+        by = [
+            selected(hi.fit(hi.Select(by=by, over=ORDERS, estimator=CHAIN), record))
+            for by in ("validation", "aic", "bic")
+        ]
+        assert np.array_equal(by[0].aic, by[1].criterion)
+        assert np.array_equal(by[0].bic, by[2].criterion)
+        assert np.array_equal(by[1].bic, by[2].criterion)
+        assert by[1].near is None
+
+    def test_of_a_piecewise_linear_function_all_values_are_parameters(self):
+        spec = hi.PredictionError(blocks=[hi.PiecewiseLinearBlock(knots=6), hi.LinearBlock(nb=2, nf=1, nk=1)])
+        assert spec.free_parameters() == 6 + 3 - 1
+
+    def test_a_record_without_a_validation_part_is_refused(self):
+        chosen = hi.Select(by="validation", over=ORDERS, estimator=CHAIN)
+        with pytest.raises(EstimationError, match="'by: validation' is on the record's validation part, and"):
+            chosen.check_record(record_of())
+        with pytest.raises(EstimationError, match="this record has none"):
+            chosen.fit(record_of())
+
+    @pytest.mark.parametrize(
+        ("settings", "message"),
+        [
+            (
+                {"by": "bic", "take": "simplest"},
+                "'bic' has a penalty for parameters already: leave 'take' out",
+            ),
+            (
+                {
+                    "by": "leave_one_out",
+                    "take": "simplest",
+                    "over": {"bandwidth.h0": WIDTHS},
+                    "estimator": KERNEL,
+                },
+                "needs the number of free parameters to take the simplest, which 'kernel' does not say",
+            ),
+        ],
+    )
+    def test_what_cannot_be_taken_is_refused(self, settings, message):
+        with pytest.raises(ConfigError, match=message):
+            hi.Select(**{"over": ORDERS, "estimator": CHAIN, **settings})
+
+
+TRIED = """\
+version: 1
+title: Tried
+record: {file: tank.csv, input: u, output: y, estimation: 1..300, validation: 301..600}
+trials: 1
+estimators:
+  chosen:
+    kind: select
+    by: validation
+    take: simplest
+    over:
+      blocks.0: [{kind: polynomial, degree: 1}, {kind: polynomial, degree: 3}]
+      blocks.1.nb: [3, 4, 5]
+    estimator: {kind: prediction_error, blocks: [{kind: polynomial, degree: 1}, {kind: linear, nb: 1}]}
+metrics:
+  fit: {kind: fit_index, on: validation}
+tables:
+  tried: {kind: candidates, title: What was tried, estimator: chosen}
+"""
+
+
+def test_the_table_of_all_tried_marks_the_simplest(tmp_path):
+    record = record_of(600)
+    rows = "\n".join(f"{a!r},{b!r}" for a, b in zip(record.u.tolist(), record.y.tolist(), strict=True))
+    (tmp_path / "tank.csv").write_text(f"u,y\n{rows}\n")
+    results = run(planned(tmp_path, TRIED))
+    table = results.plan.experiment.tables["tried"].build(results, [])  # type: ignore[attr-defined]
+    assert table.header == ("blocks.0", "blocks.1.nb", "parameters", "RMSE, validation", "AIC", "BIC", "")
+    marks = {row[:2]: row[-1] for row in table.rows}
+    assert marks["polynomial degree 3", "3"] == "chosen"
+    assert marks["polynomial degree 3", "5"] == "within one standard error"
+    assert marks["polynomial degree 1", "3"] == ""
+    assert [float(row[3]) for row in table.rows] == sorted(float(row[3]) for row in table.rows)
+    other = TRIED.replace("estimator: chosen}", "estimator: plain}").replace(
+        "estimators:\n", "estimators:\n  plain: {kind: two_stage, lags: 3, degree: 3}\n"
+    )
+    with pytest.raises(ConfigError, match="the estimator 'plain' selects nothing: it is not of kind select"):
+        check(planned(tmp_path, other))
 
 
 CONFIG = """\

@@ -215,9 +215,10 @@ def as_numbers(values: Sequence[Any]) -> list[float]:
 
 
 def word(value: Any) -> str:
-    """A value in words: of a component its kind, of another mapping what it holds."""
+    """A value in words: of a component its kind and what else was given, of another mapping what it holds."""
     if isinstance(value, Component):
-        return value.kind
+        given = _as_given(value)
+        return " ".join([given.pop("kind"), *(f"{key} {word(item)}" for key, item in given.items())])
     if isinstance(value, Spec):
         value = _as_given(value)
     if isinstance(value, Mapping):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
@@ -13,7 +14,7 @@ import numpy as np
 from pydantic import Field, GetJsonSchemaHandler, model_validator
 from pydantic_core import CoreSchema, PydanticCustomError
 
-from hident.arrays import Array
+from hident.arrays import Array, Flags
 from hident.config.spec import Count, NonEmpty, Of, Real, component, components
 from hident.config.suggest import one_of
 from hident.errors import EstimationError, TrialFailed
@@ -30,11 +31,16 @@ from hident.estimators.selection.candidates import (
     word,
 )
 from hident.estimators.selection.folds import Fold, at_the_end, in_blocks
-from hident.numerics.choices import ROUNDING, first_least
-from hident.records import Estimate, Record
+from hident.numerics.choices import ROUNDING, first_least, within_one_standard_error
+from hident.numerics.information_criteria import aic, bic, fpe
+from hident.records import Estimate, Record, needed
 
-Criterion = Literal["cross_validation", "leave_one_out", "holdout", "aic", "bic", "fpe"]
+Criterion = Literal["cross_validation", "leave_one_out", "holdout", "validation", "aic", "bic", "fpe"]
 _FAILURES = (TrialFailed, np.linalg.LinAlgError, ArithmeticError)
+_INFORMATION: tuple[Literal["aic"], Literal["bic"]] = ("aic", "bic")
+_PENALISED = {"aic": aic, "bic": bic, "fpe": fpe}
+# Those that fit each candidate to the whole record.
+_OF_WHOLE = ("leave_one_out", "validation", *_PENALISED)
 # From the one that takes the fewest records to the one that takes all.
 _TAKEN: tuple[Experiments, ...] = ("one", "at_one_interval", "any")
 _OF = {"folds": ("cross_validation",), "share": ("holdout",), "gap": ("cross_validation", "holdout")}
@@ -48,6 +54,10 @@ class Selection:
     the values, the last setting varying the fastest. Those that failed have nan, and their reasons stand in
     ``failures``. ``chosen`` is the place of the one that was taken, ``estimator`` itself, and ``within`` how
     that chose, if it is a selection too.
+
+    ``parameters`` counts the free parameters of each candidate (None: it does not say), ``near`` (C,) says
+    whose squared error is within one standard error of the least (None of a criterion with a penalty), and
+    ``aic`` and ``bic`` (C,) are those of the fits to the whole record, as far as there are any; else nan.
     """
 
     by: Criterion
@@ -57,6 +67,10 @@ class Selection:
     chosen: int
     estimator: EstimatorSpec
     within: Selection | None = None
+    parameters: tuple[int | None, ...] = ()
+    near: Flags | None = None
+    aic: Array = field(default_factory=lambda: np.zeros(0))
+    bic: Array = field(default_factory=lambda: np.zeros(0))
 
     def word(self, path: str, place: int) -> str:
         """A value of a setting as a label shows it."""
@@ -82,10 +96,13 @@ class Select(EstimatorSpec):
     fastest), so the simplest value stands first. A candidate that fails is left out.
 
     ``cross_validation``: the mean squared error on blocks in time, each held out in turn; ``holdout``: that
-    on the last part of each experiment; ``leave_one_out``, of nonparametric regression: that of the samples,
-    each without its own, where what undid the linear block stays. With the mean squared error V on the record
-    and the number d of free parameters, ``aic`` is N ln V + 2 d, ``bic`` N ln V + d ln N and ``fpe``
-    V (1 + d/N)/(1 - d/N).
+    on the last part of each experiment; ``validation``: that on the record's validation part;
+    ``leave_one_out``, of nonparametric regression: that of the samples, each without its own, where what
+    undid the linear block stays. With the mean squared error V on the record and the number d of free
+    parameters, ``aic`` is N ln V + 2 d, ``bic`` N ln V + d ln N and ``fpe`` V (1 + d/N)/(1 - d/N).
+
+    ``take: simplest`` takes, of all candidates whose mean squared error is within one standard error of the
+    least, the one with the fewest free parameters.
 
     The error is that of the output simulated from the input of the whole experiment, so that a block that is
     held out begins in the state that the input has brought the model to. Of nonparametric regression it is
@@ -98,7 +115,7 @@ class Select(EstimatorSpec):
     what is no number. ``details["selection"]`` holds the criterion of every candidate.
 
     References: Stone 1974 (cross-validation); Akaike 1970 (fpe), 1974 (aic); Schwarz 1978 (bic); Burman,
-    Chow, Nolan 1994 (gaps for dependent data).
+    Chow, Nolan 1994 (gaps for dependent data); Breiman, Friedman, Olshen, Stone 1984, 3.4.3 (the simplest).
 
     Examples
     --------
@@ -123,6 +140,8 @@ class Select(EstimatorSpec):
     """Share of each experiment that is held out, at its end, of holdout."""
     gap: Annotated[Count, Field(ge=0)] = 0
     """Samples beside a block that are not fitted either: as many as the noise remembers."""
+    take: Literal["best", "simplest"] = "best"
+    """The candidate with the least criterion, or the simplest within one standard error of that."""
 
     @model_validator(mode="before")
     @classmethod
@@ -143,6 +162,8 @@ class Select(EstimatorSpec):
         for name, criteria in _OF.items():
             if name in self.model_fields_set and self.by not in criteria:
                 raise ValueError(f"'{name}' is of {one_of(criteria)}: leave it out, or set 'by'")
+        if self.take == "simplest" and self.by in _PENALISED:
+            raise ValueError(f"'{self.by}' has a penalty for parameters already: leave 'take' out")
         for candidate in self.candidates:
             if lacks := self._lacks(candidate):
                 raise PydanticCustomError("config", f"'{self.by}' {lacks}")
@@ -157,13 +178,15 @@ class Select(EstimatorSpec):
     def _lacks(self, candidate: EstimatorSpec) -> str:
         """What a candidate lacks for the criterion; empty if nothing."""
         named = f"which '{candidate.kind}'"
+        if self.take == "simplest" and candidate.free_parameters() is None:
+            return f"needs the number of free parameters to take the simplest, {named} does not say"
         if self.by == "leave_one_out":
             lacks = "left_out" not in candidate.provides()
             said = f"needs each sample's estimate without it, {named} does not give: take cross_validation"
             return said * lacks
         if not candidate.explains():
             return f"needs what is left of the output, {named} does not tell: it gives no response"
-        if self._is_penalised() and candidate.free_parameters() is None:
+        if self.by in _PENALISED and candidate.free_parameters() is None:
             return f"needs the number of free parameters, {named} does not say: take cross_validation"
         if self.by == "cross_validation" and candidate.takes_experiments() == "one":
             return f"makes several experiments of one, {named} does not take: take holdout"
@@ -238,6 +261,7 @@ class Select(EstimatorSpec):
                 raise ValueError(f"with {self._words(i)}: {error}") from None
 
     def check_record(self, record: Record) -> None:
+        self._require_validation(record)
         hopeless: dict[int, str] = {}
         for i, candidate in enumerate(self.candidates):
             try:
@@ -246,6 +270,13 @@ class Select(EstimatorSpec):
                 hopeless[i] = str(error)
         if len(hopeless) == len(self.candidates):
             raise EstimationError(self._none(hopeless))
+
+    def _require_validation(self, record: Record) -> None:
+        if self.by == "validation" and record.validation is None:
+            raise EstimationError(
+                "'by: validation' is on the record's validation part, and this record has none, as no "
+                "simulated one has: take holdout or cross_validation"
+            )
 
     def explains(self) -> bool:
         return all(candidate.explains() for candidate in self.candidates)
@@ -269,6 +300,7 @@ class Select(EstimatorSpec):
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         self.require_experiments(record)
+        self._require_validation(record)
         judge = self._judge(record, rng)
         errors: dict[int, Array] = {}
         whole: dict[int, Estimate] = {}
@@ -282,15 +314,29 @@ class Select(EstimatorSpec):
                 whole |= {i: fitted} if fitted is not None else {}
         if not errors:
             raise EstimationError(self._none(failures))
-        criterion = self._criterion(errors, record)
+        judged = needed(record.validation) if self.by == "validation" else record
+        errors = self._common(errors)
+        criterion = self._criterion(self.by, errors, judged)
+        near = None if self.by in _PENALISED else self._near(errors)
         # Errors are rounded to a part of the output, their squares to the square of that; where there is a
         # penalty, that is seen to before.
-        chosen = first_least(criterion, scale=0.0 if self._is_penalised() else ROUNDING * _size(record))
+        chosen = first_least(criterion, scale=0.0 if near is None else ROUNDING * _size(judged))
+        if self.take == "simplest" and near is not None:
+            chosen = self._simplest(near, criterion)
         estimator = self.candidates[chosen]
         estimate = whole[chosen] if chosen in whole else estimator.fit(record, rng)
-        over = {path: tuple(self.over[path]) for path in sorted(self.over)}
-        within = estimate.details.get("selection")
-        selection = Selection(self.by, over, criterion, failures, chosen, estimator, within)
+        selection = Selection(
+            self.by,
+            {path: tuple(self.over[path]) for path in sorted(self.over)},
+            criterion,
+            failures,
+            chosen,
+            estimator,
+            estimate.details.get("selection"),
+            tuple(candidate.free_parameters() for candidate in self.candidates),
+            near,
+            *self._fits(errors, whole, record),
+        )
         return replace(
             estimate,
             values={**estimate.values, **self._selected[chosen]},
@@ -301,13 +347,14 @@ class Select(EstimatorSpec):
         self, record: Record, rng: np.random.Generator | None
     ) -> Callable[[EstimatorSpec], tuple[Array, Estimate | None]]:
         """What gives a candidate's errors (N,), and its estimate from the whole record if that was made."""
-        if self.by not in ("cross_validation", "holdout"):
+        if self.by in _OF_WHOLE:
 
             def within(candidate: EstimatorSpec) -> tuple[Array, Estimate]:
                 estimate = candidate.fit(record, rng)
                 left_out = self.by == "leave_one_out"
                 errors = candidate.left_out_errors if left_out else candidate.errors
-                return errors(estimate, record), estimate
+                judged = needed(record.validation) if self.by == "validation" else record
+                return errors(estimate, judged), estimate
 
             return within
         folds = record.once(("folds", self.by, self.folds, self.share, self.gap), lambda: self._folds(record))
@@ -335,38 +382,54 @@ class Select(EstimatorSpec):
             return [at_the_end(record, self.share, self.gap)]
         return in_blocks(record, self.folds, self.gap)
 
-    def _is_penalised(self) -> bool:
-        return self.by in ("aic", "bic", "fpe")
-
-    def _criterion(self, errors: Mapping[int, Array], record: Record) -> Array:
-        """The criterion of each candidate (C,), on the samples that all have an error for; else nan."""
+    def _common(self, errors: Mapping[int, Array]) -> dict[int, Array]:
+        """The errors at the samples that all candidates have one for."""
         common = np.logical_and.reduce([np.isfinite(one) for one in errors.values()])
-        count = int(np.count_nonzero(common))
-        if not count:
+        if not np.any(common):
             raise EstimationError(
                 "no sample is left on which all candidates can be compared: use a longer record"
             )
+        return {i: one[common] for i, one in errors.items()}
+
+    def _criterion(self, by: Criterion, errors: Mapping[int, Array], judged: Record) -> Array:
+        """A criterion of each candidate (C,), of their errors at common samples; else nan."""
         found = np.full(len(self.candidates), np.nan)
         for i, one in errors.items():
-            found[i] = self._penalised(float(np.mean(one[common] ** 2)), count, self.candidates[i], record)
-        if not np.isfinite(found).any():
-            raise EstimationError(f"'{self.by}' is finite for no candidate: {count} samples are too few")
+            mse, count = float(np.mean(one**2)), len(one)
+            if (penalised := _PENALISED.get(by)) is None:
+                found[i] = mse
+            elif (d := self.candidates[i].free_parameters()) is not None:
+                # No fit is better than rounding.
+                least = max(mse, ROUNDING**2 * _size(judged), np.finfo(float).tiny)
+                found[i] = penalised(least, count, d)
+        if by == self.by and not np.isfinite(found).any():
+            raise EstimationError(f"'{by}' is finite for no candidate: {count} samples are too few")
         return found
 
-    def _penalised(self, mse: float, count: int, candidate: EstimatorSpec, record: Record) -> float:
-        if not self._is_penalised():
-            return mse
-        d = candidate.free_parameters()
-        assert d is not None
-        # No fit is better than rounding.
-        mse = max(mse, ROUNDING**2 * _size(record), np.finfo(float).tiny)
-        match self.by:
-            case "aic":
-                return count * math.log(mse) + 2 * d
-            case "bic":
-                return count * math.log(mse) + d * math.log(count)
-            case _:
-                return mse * (1 + d / count) / (1 - d / count) if d < count else math.nan
+    def _near(self, errors: Mapping[int, Array]) -> Flags:
+        near = np.zeros(len(self.candidates), dtype=bool)
+        near[list(errors)] = within_one_standard_error([one**2 for one in errors.values()])
+        return near
+
+    def _simplest(self, near: Flags, criterion: Array) -> int:
+        """The place of the candidate with the fewest parameters among the near ones, of equals the best."""
+        sizes = {int(i): needed(self.candidates[i].free_parameters()) for i in np.flatnonzero(near)}
+        fewest = [i for i, size in sizes.items() if size == min(sizes.values())]
+        return fewest[first_least(criterion[fewest])]
+
+    def _fits(
+        self, errors: Mapping[int, Array], whole: Mapping[int, Estimate], record: Record
+    ) -> list[Array]:
+        """Akaike's and Schwarz's criterion (C,) of the fits to the whole record; nan where there is none."""
+        if self.by == "validation":
+            errors = {}
+            for i, estimate in whole.items():
+                with suppress(*_FAILURES):
+                    errors[i] = self.candidates[i].errors(estimate, record)
+            errors = self._common(errors)
+        elif self.by not in _PENALISED:
+            errors = {}
+        return [self._criterion(by, errors, record) for by in _INFORMATION]
 
     def _words(self, i: int) -> str:
         """The settings of a candidate."""

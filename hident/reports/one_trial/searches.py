@@ -27,6 +27,7 @@ _WORST = 10.0
 _CRITERIA: dict[Criterion, str] = {
     "cross_validation": "mean squared prediction error\n(cross-validation)",
     "holdout": "mean squared prediction error\n(samples held out)",
+    "validation": "mean squared prediction error\n(validation)",
     "leave_one_out": "mean squared prediction error\n(leave-one-out)",
     "aic": "AIC",
     "bic": "BIC",
