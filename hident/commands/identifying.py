@@ -15,12 +15,14 @@ import numpy as np
 import yaml
 
 from hident import __version__
+from hident.arrays import Array
 from hident.block_chain import Start
 from hident.commands.measured import record_of
 from hident.commands.models import draw_model, save_figure
 from hident.commands.showing import print_columns
 from hident.config.spec import canonical
 from hident.config.suggest import did_you_mean, one_of
+from hident.engine.work import pin_blas
 from hident.errors import ConfigError, EstimationError
 from hident.fitted_model import FittedModel
 from hident.identification.bootstrap import Bootstrap, bootstrap
@@ -30,9 +32,13 @@ from hident.measurements.measured_record import MeasuredRecord
 from hident.models.formulas import formulas
 from hident.models.model_file import write_model
 from hident.new_files import made_folder, replacing
+from hident.numerics.judgement import Residuals
+from hident.numerics.parts import Parts
 from hident.records import Record
 
 _SHOWN_OF_EACH = 3
+# Of more samples than this a figure shows so many, where the output varies most.
+_MOST_SHOWN, _SHOWN = 2000, 500
 _EVERY = 20.0
 # A fit below this, in percent, explains next to nothing.
 _POOR = 20.0
@@ -71,6 +77,7 @@ def identify_file(
     # Before what takes long: a folder that cannot be made would cost it.
     made_folder(folder)
     begun = time.monotonic()
+    pin_blas()
     try:
         found = identify(
             record,
@@ -86,13 +93,24 @@ def identify_file(
         raise ConfigError(f"{one_of(map(str, files))}: {error}") from None
     finally:
         _clear()
-    lines = list(_said(found, again))
+    residuals, verdict = _judged(found)
+    lines = list(_said(found, verdict, again))
     print_columns(_rows(found, record, _SHOWN_OF_EACH))
     for line in lines:
         print(line)
     print(formulas(model))
-    written = _write(folder, found, record, spec, model, lines, again)
+    written = _write(folder, found, record, spec, model, lines, residuals, again)
     print(f"\n{folder}: {', '.join(written)} ({time.monotonic() - begun:.0f} s)")
+
+
+def _judged(found: Identification) -> tuple[Residuals | None, Sequence[str]]:
+    """What is left of the samples kept apart, and the verdict on it."""
+    try:
+        residuals = found.residuals()
+        sentences = residuals.sentences
+    except EstimationError as error:
+        return None, [str(error)]
+    return (None if residuals.vanish else residuals), sentences
 
 
 class _Progress:
@@ -196,7 +214,7 @@ def _rows(found: Identification, record: Record, most: int | None) -> list[tuple
     return rows
 
 
-def _said(found: Identification, again: Bootstrap | None) -> Iterator[str]:
+def _said(found: Identification, verdict: Sequence[str], again: Bootstrap | None) -> Iterator[str]:
     shown = sum(one.fit is not None for one in found.trials)
     yield ""
     by = "the simulation of" if found.by == "validation" else f"{found.by.upper()}; kept apart:"
@@ -222,11 +240,7 @@ def _said(found: Identification, again: Bootstrap | None) -> Iterator[str]:
     if found.parts.everything is not found.parts.estimation:
         yield "the chosen chain was then fitted to all samples"
     yield "what it leaves of the samples kept apart:"
-    try:
-        for sentence in found.residuals().sentences:
-            yield f"- {sentence}"
-    except EstimationError as error:
-        yield f"- {error}"
+    yield from (f"- {sentence}" for sentence in verdict)
     if again is not None:
         failed = f", {again.failed} more failed" if again.failed else ""
         count = len(again.chains)
@@ -241,53 +255,86 @@ def _write(
     spec: MeasuredRecord,
     model: FittedModel,
     lines: Sequence[str],
+    residuals: Residuals | None,
     again: Bootstrap | None,
 ) -> list[str]:
-    from hident.reports.model_figures import comparison
-
     write_model(model, folder / "model.json")
+    with replacing(folder / "experiment.yaml") as new:
+        new.write_text(_experiment(found, spec, folder), encoding="utf-8")
+    pictures = [*draw_model(model, folder, again.chains if again else ())]
+    pictures += _draw_kept_apart(folder, found, record, spec, residuals, again)
     rows = _rows(found, record, None)
     with replacing(folder / "table.md") as new:
         head = [f"# What was tried on {one_of(Path(file).name for file in spec.file)}", ""]
         table = ["| " + " | ".join(row) + " |" for row in rows]
         table.insert(1, "| " + " | ".join("---" for _ in rows[0]) + " |")
-        new.write_text("\n".join([*head, *table, *lines, ""]), encoding="utf-8")
-    with replacing(folder / "experiment.yaml") as new:
-        new.write_text(_experiment(found, spec, folder), encoding="utf-8")
+        page = ["```", formulas(model), "```", "", *(f"![{Path(name).stem}]({name})" for name in pictures)]
+        new.write_text("\n".join([*head, *table, *lines, *page, ""]), encoding="utf-8")
+    return ["model.json", "table.md", "experiment.yaml", *pictures]
+
+
+def _draw_kept_apart(
+    folder: Path,
+    found: Identification,
+    record: Record,
+    spec: MeasuredRecord,
+    residuals: Residuals | None,
+    again: Bootstrap | None,
+) -> list[str]:
+    """Draw what the chosen chain makes of what was kept apart, and what it leaves; the names of the files."""
+    from hident.reports.model_figures import comparison
+    from hident.reports.one_trial.residuals import residual_figure
+
+    parts, units = found.parts, record.units
     names = [
-        "model.json",
-        "table.md",
-        "experiment.yaml",
-        *draw_model(model, folder, again.chains if again else ()),
-    ]
-    kept = found.parts.kept_experiments
-    units = record.units
-    labels = [
         name + (f" ({units[side]})" if units.get(side) else "")
         for name, side in ((one_of(map(str, spec.input)), "input"), (one_of(map(str, spec.output)), "output"))
     ]
     assert found.chosen.fit is not None
-    made = found.parts.simulated(found.chosen.fit.point.parameters.chain)
+    made = parts.simulated(found.chosen.fit.point.parameters.chain)
     # Of a chain that was fitted to what was kept apart as well, bands would be those of another fit.
-    is_apart = again is not None and found.parts.everything is found.parts.estimation
-    others = [found.parts.simulated(chain) for chain in again.chains] if again and is_apart else []
-    step, label = (record.dt or 1.0), "sample"
-    if record.dt is not None and len(kept) == 1:
-        label = f"time ({units['time']})" if units.get("time") else "time"
-    instants = np.asarray(np.arange(len(made)) * (step if label != "sample" else 1.0))
+    is_apart = again is not None and parts.everything is parts.estimation
+    others = [parts.simulated(chain) for chain in again.chains] if again and is_apart else []
+    step, label = 1.0, "sample kept apart"
+    if record.dt is not None and len(parts.kept_experiments) == 1:
+        step = record.dt
+        label = (
+            "time"
+            + (f" ({units['time']})" if units.get("time") else "")
+            + " since the first sample kept apart"
+        )
+    shown = _shown(parts.output, parts.kept_experiments)
+    instants = np.arange(len(made), dtype=float) * step
     save_figure(
         folder / "kept_apart.png",
         lambda: comparison(
-            instants,
+            instants[shown],
             label,
-            found.parts.input,
-            made,
-            found.parts.output,
-            (labels[0], labels[1], "simulation"),
-            others,
+            parts.input[shown],
+            made[shown],
+            parts.output[shown],
+            (names[0], names[1], "simulation"),
+            [other[shown] for other in others],
         ),
     )
-    return [*names, "kept_apart.png"]
+    if residuals is None:
+        return ["kept_apart.png"]
+    unit = f" ({units['output']})" if units.get("output") else ""
+    save_figure(
+        folder / "residuals.png", lambda: residual_figure(residuals, step, (label, f"residual e{unit}"))
+    )
+    return ["kept_apart.png", "residuals.png"]
+
+
+def _shown(y: Array, experiments: Parts) -> slice:
+    """Which samples of y (N,) a figure shows: all if they are few."""
+    if len(y) <= _MOST_SHOWN:
+        return slice(0, len(y))
+    longest = max(experiments, key=lambda part: part.stop - part.start)
+    sums = (np.concatenate(([0.0], np.cumsum(signal))) for signal in (y[longest], y[longest] ** 2))
+    first, second = ((total[_SHOWN:] - total[:-_SHOWN]) / _SHOWN for total in sums)
+    begin = longest.start + int(np.argmax(second - first**2)) if len(first) else 0
+    return slice(begin, begin + _SHOWN)
 
 
 def _experiment(found: Identification, spec: MeasuredRecord, folder: Path) -> str:

@@ -18,7 +18,7 @@ from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain
 from hident.estimators.prediction_error.criterion import Data
 from hident.estimators.prediction_error.prediction_error import PredictionError
 from hident.identification.candidates import STRUCTURES, Functions, Orders, chain, orders_of
-from hident.identification.continuation import continued
+from hident.identification.continuation import continued, resumed
 from hident.identification.split import Split, split
 from hident.measurements.delay import correlation, delay
 from hident.numerics.choices import first_least, within_one_standard_error
@@ -29,13 +29,17 @@ from hident.records import Estimate, Record
 By = Literal["validation", "aic", "bic"]
 """What decides: the simulation of samples kept apart, or a criterion of those that are fitted."""
 
-# Orders are compared by short fits to so many samples, static functions by whole fits to more.
-_COMPARED, _ORDERS, _ORDER_ITERATIONS, _FUNCTION_ITERATIONS = 12000, 4000, 25, 50
+# Orders are compared by short fits to so many samples, static functions by fits to more, the best few chains
+# by fits to more still: only the best of these is fitted to a longer record.
+_ORDERS, _COMPARED, _BEST = 4000, 12000, 30000
+_ORDER_ITERATIONS, _FUNCTION_ITERATIONS = 25, 50
 _LINEAR_STARTS, _HIGHEST = 2, 10
-_FEWEST, _WHOLE = 20, 2
+_FEWEST, _FINALISTS = 20, 2
 # Short fits of higher orders that gain less than this have gained nothing.
 _CLOSE = 1.03
 _MOST_LINEAR, _MORE_LINEAR, _MANY = 4, 8, 5000
+# Beyond the first few, linear models grow until so many orders in a row have gained nothing.
+_NO_GAIN = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +185,7 @@ class _Search:
         self.parts, self.by, self._tell = parts, by, tell
         self.trials: list[Trial] = []
         self.short = parts.estimation.busiest(_COMPARED)
-        self.lag = first_lag(parts.estimation)
+        self.lag = first_lag(self.short)
         self.functions = Functions.of_input(parts.estimation.u)
 
     def identified(self, structures: Sequence[str]) -> Identification:
@@ -189,35 +193,36 @@ class _Search:
         for structure in structures:
             if structure != "linear" and self.functions.of(structure):
                 self._grow(structure, n)
-        wanted = [one for one in self.trials if one.fit is not None and one.structure in structures]
+        wanted = self._wanted(structures)
         if not wanted:
             reasons = [*self.functions.notes(structures), *(one.reason for one in self.trials if one.reason)]
             reason = next(iter(reasons), "no structure was asked for")
             raise EstimationError(f"nothing could be fitted: {reason}")
-        wanted = (
-            self._pruned(wanted) if len(self.short.u) == len(self.parts.estimation.u) else self._whole(wanted)
-        )
-        # A few parameters more are no risk beside the samples of a long record.
         is_long = len(self.short.u) < len(self.parts.estimation.u)
-        chosen = best(wanted, self.by) if is_long else simplest(wanted, self.by)
+        chosen = self._whole(wanted) if is_long else self._pruned(wanted)
         fit = chosen.fit
         assert fit is not None
         if self.parts.everything is not self.parts.estimation:
-            again = continued(chosen.spec.structure(), fit.point.parameters.chain, self.parts.everything)
+            again = resumed(chosen.spec.structure(), fit.point.parameters, self.parts.everything)
             fit = _counted_as(again, fit)
-        near = near_the_best(wanted)
+        near = near_the_best(self._wanted(structures))
         within = frozenset(i for i, one in enumerate(self.trials) if one in near)
         notes = self.functions.notes(structures)
         return Identification(tuple(self.trials), within, chosen, fit, self.parts, self.by, notes)
+
+    def _wanted(self, structures: Sequence[str]) -> list[Trial]:
+        return [one for one in self.trials if one.fit is not None and one.structure in structures]
 
     def _linear_order(self) -> int:
         """The order of the linear model that is chosen."""
         highest = _MORE_LINEAR if len(self.short.u) >= _MANY else _MOST_LINEAR
         few = self.short.busiest(_ORDERS)
-        linear = [
-            self._fitted("linear", self._chain("linear", n), few, _LINEAR_STARTS)
-            for n in range(1, highest + 1)
-        ]
+        linear: list[Trial] = []
+        for n in range(1, highest + 1):
+            linear.append(self._fitted("linear", self._chain("linear", n), few, _LINEAR_STARTS))
+            worth = [one.worth(self.by) for one in linear]
+            if n > _MOST_LINEAR and n - 1 - int(np.argmin(worth)) >= _NO_GAIN:
+                break
         return 1 + linear.index(simplest(linear, self.by)) if any(one.fit for one in linear) else 2
 
     def _chain(
@@ -263,8 +268,8 @@ class _Search:
         close = [one for one in found if one.rms <= _CLOSE * least]
         return min(close, key=lambda one: one.count, default=None)
 
-    def _pruned(self, wanted: list[Trial]) -> list[Trial]:
-        """Those wanted, and lower orders with the function that is chosen.
+    def _pruned(self, wanted: list[Trial]) -> Trial:
+        """The one of those wanted that is chosen, and lower orders of its linear blocks if they will do.
 
         Orders were compared with another function: with the chosen one, lower ones may do.
         """
@@ -275,13 +280,26 @@ class _Search:
                 break
             wanted = [*wanted, smaller]
             chosen = smaller
-        return wanted
+        return chosen
 
-    def _whole(self, wanted: list[Trial]) -> list[Trial]:
-        """The best few, fitted to all that is to be fitted: a part cannot tell rich functions apart."""
-        few = sorted(wanted, key=lambda one: one.worth(self.by))[:_WHOLE]
-        whole = [self._gone_on(one.spec, one, self.parts.estimation) for one in few]
-        return [one for one in whole if one.fit is not None] or wanted
+    def _whole(self, wanted: list[Trial]) -> Trial:
+        """The best of the best few of those wanted, fitted to all that is to be fitted.
+
+        A part of a long record cannot tell rich functions apart, and a few parameters more are no risk beside
+        all of it.
+        """
+        few = sorted(wanted, key=lambda one: one.worth(self.by))[:_FINALISTS]
+        whole = self.parts.estimation
+        gone_on = [self._gone_on(one.spec, one, whole.busiest(_BEST), whole) for one in few]
+        chosen = best([one for one in gone_on if one.fit is not None] or few, self.by)
+        assert chosen.fit is not None
+        try:
+            structure = chosen.spec.structure()
+            fit = resumed(structure, chosen.fit.point.parameters, whole, _ORDER_ITERATIONS)
+            found = self._judged(chosen.structure, chosen.spec, _counted_as(fit, chosen.fit))
+        except (EstimationError, np.linalg.LinAlgError):
+            return chosen
+        return found if found.fit is not None else chosen
 
     def _fitted(self, structure: str, spec: PredictionError, data: Data, most_starts: int = 8) -> Trial:
         """A chain fitted to data from starts of its own."""
@@ -291,12 +309,12 @@ class _Search:
         except (EstimationError, np.linalg.LinAlgError) as error:
             return self._told(Trial(structure, spec, reason=str(error)))
 
-    def _gone_on(self, spec: PredictionError, begun: Trial, data: Data) -> Trial:
+    def _gone_on(self, spec: PredictionError, begun: Trial, data: Data, whole: Data | None = None) -> Trial:
         """A chain fitted to data, from where another one with the same linear blocks ended."""
         assert begun.fit is not None
         most = _FUNCTION_ITERATIONS if data.count < _COMPARED // 2 else _ORDER_ITERATIONS
         try:
-            fit = continued(spec.structure(), begun.fit.point.parameters.chain, data, most)
+            fit = continued(spec.structure(), begun.fit.point.parameters.chain, data, most, whole)
             return self._judged(begun.structure, spec, _counted_as(fit, begun.fit))
         except (EstimationError, np.linalg.LinAlgError) as error:
             return self._told(Trial(begun.structure, spec, reason=str(error)))
@@ -312,7 +330,12 @@ class _Search:
         return self._told(Trial(structure, spec, count, fit, estimation, len(fitted), kept**2))
 
     def _told(self, trial: Trial) -> Trial:
-        self.trials.append(trial)
+        """The trial, kept in the place of a shorter fit of the same chain if there was one."""
+        same = (i for i, one in enumerate(self.trials) if one.spec == trial.spec)
+        if (place := next(same, None)) is None:
+            self.trials.append(trial)
+        elif trial.fit is not None:
+            self.trials[place] = trial
         self._tell(trial)
         return trial
 

@@ -45,9 +45,13 @@ class Descent:
     evaluations: int
 
 
-def descend(point: Point, max_iterations: int) -> Descent:
-    """Minimise the sum of squared prediction errors from a point."""
-    damping, evaluations, iterations = _FIRST_DAMPING, 0, 0
+def descend(point: Point, max_iterations: int, damping: float = _FIRST_DAMPING) -> Descent:
+    """Minimise the sum of squared prediction errors from a point.
+
+    ``damping`` is that of the first step, for columns of length one: with little, a search from near the end
+    is soon there.
+    """
+    evaluations, iterations = 0, 0
     steps: deque[tuple[Array, Array]] = deque(maxlen=_MIXED + 1)
     nothing = _ROUNDING * float(point.data.y @ point.data.y)
     while True:

@@ -75,16 +75,31 @@ class ResidualFigure(OnOutput, OneTrialFigure):
             say_failed(grid[0, 0], f"{self.curve.text} failed: {failure}")
             return figure
         figure.suptitle(f"{self.curve.text}, {self.described()}", fontsize=9)
-        _in_time(grid[0, 0], found, realised.unit.data.dt or 1.0, self.n_init)
-        grid[0, 0].set_xlabel(self.t_label)
-        grid[0, 0].set_ylabel(self.y_label)
-        _correlations(grid[0, 1], "autocorrelation of e", [found.whiteness], "lag (samples)")
-        tried = found.nonlinear_input.values()
-        both = [found.input, max(tried, key=lambda one: one.test.statistic, default=None)]
-        named = "correlation of e with the past"
-        _correlations(grid[1, 0], named, [one for one in both if one], "samples before")
-        _quantiles(grid[1, 1], found)
+        draw_residuals(grid, found, realised.unit.data.dt or 1.0, self.n_init, (self.t_label, self.y_label))
         return figure
+
+
+def residual_figure(found: Residuals, dt: float, labels: tuple[str, str]) -> Figure:
+    """The residuals of a model that stands in no configuration; see :func:`draw_residuals`."""
+    figure, grid = subplots(2, 2, figsize=(6.8, 4.8))
+    draw_residuals(grid, found, dt, 0, labels)
+    return figure
+
+
+def draw_residuals(grid: Any, found: Residuals, dt: float, n_init: int, labels: tuple[str, str]) -> None:
+    """Residuals in time, their correlations and their quantiles, in a grid of two by two axes.
+
+    ``labels`` are those of time and residuals; the first ``n_init`` samples were left out.
+    """
+    _in_time(grid[0, 0], found, dt, n_init)
+    grid[0, 0].set_xlabel(labels[0])
+    grid[0, 0].set_ylabel(labels[1])
+    _correlations(grid[0, 1], "autocorrelation of e", [found.whiteness], "lag (samples)")
+    tried = found.nonlinear_input.values()
+    both = [found.input, max(tried, key=lambda one: one.test.statistic, default=None)]
+    named = "correlation of e with the past"
+    _correlations(grid[1, 0], named, [one for one in both if one], "samples before")
+    _quantiles(grid[1, 1], found)
 
 
 def _in_time(axes: Axes, found: Residuals, dt: float, n_init: int) -> None:
