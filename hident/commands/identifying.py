@@ -16,7 +16,7 @@ import yaml
 
 from hident import __version__
 from hident.arrays import Array
-from hident.block_chain import Start
+from hident.block_chain import Block, Start
 from hident.commands.measured import record_of
 from hident.commands.models import draw_model, save_figure
 from hident.commands.showing import print_columns
@@ -28,6 +28,7 @@ from hident.fitted_model import FittedModel
 from hident.identification.bootstrap import Bootstrap, bootstrap
 from hident.identification.candidates import STRUCTURES
 from hident.identification.identify import By, Identification, Trial, identify
+from hident.linear_blocks import TransferFunction
 from hident.measurements.measured_record import MeasuredRecord
 from hident.models.formulas import formulas
 from hident.models.model_file import write_model
@@ -40,6 +41,10 @@ _SHOWN_OF_EACH = 3
 # Of more samples than this a figure shows so many, where the output varies most.
 _MOST_SHOWN, _SHOWN = 2000, 500
 _EVERY = 20.0
+# Said of the samples kept apart, if more than this share has inputs that were not fitted; so many are listed.
+_MUCH, _LISTED = 0.05, 5
+# Said of a model, if more than this share of its numbers is below their standard errors.
+_UNDETERMINED = 1.0 / 3.0
 # A fit below this, in percent, explains next to nothing.
 _POOR = 20.0
 
@@ -94,7 +99,7 @@ def identify_file(
     finally:
         _clear()
     residuals, verdict = _judged(found)
-    lines = list(_said(found, verdict, again))
+    lines = list(_said(found, model, verdict, again))
     print_columns(_rows(found, record, _SHOWN_OF_EACH))
     for line in lines:
         print(line)
@@ -214,7 +219,51 @@ def _rows(found: Identification, record: Record, most: int | None) -> list[tuple
     return rows
 
 
-def _said(found: Identification, verdict: Sequence[str], again: Bootstrap | None) -> Iterator[str]:
+def _beyond(found: Identification) -> Iterator[str]:
+    """Where the samples kept apart have other inputs than those that were fitted."""
+    fitted, kept = found.parts.everything.u[found.parts.fitted], found.parts.input
+    if found.functions.levels is not None:
+        beyond = ~np.isin(kept, fitted)
+        new = one_of(f"{level:g}" for level in np.unique(kept[beyond])[:_LISTED])
+        which = f"levels ({new})"
+    else:
+        low, high = float(np.min(fitted)), float(np.max(fitted))
+        beyond = (kept < low) | (kept > high)
+        which = f"values, outside of {low:.4g} to {high:.4g},"
+    share = float(np.mean(beyond))
+    if share > _MUCH:
+        yield (
+            f"warning: {100.0 * share:.0f} % of the samples kept apart have input {which} that were not "
+            "fitted: what a static function is there is a guess"
+        )
+
+
+def _undetermined(model: FittedModel) -> Iterator[str]:
+    """Whether many of a model's parameters are no larger than their standard errors."""
+    small = [
+        abs(_numbers(block)[name]) <= error
+        for block, errors in zip(model.chain.blocks, model.errors, strict=True)
+        for name, error in errors.items()
+    ]
+    if sum(small) > _UNDETERMINED * len(small):
+        yield (
+            f"warning: {sum(small)} of {len(small)} numbers of the model are below their standard errors: "
+            "the record does not determine them, and a chain with fewer may be as good on another record"
+        )
+
+
+def _numbers(block: Block) -> dict[str, float]:
+    """The numbers of a block by the names of their standard errors."""
+    if isinstance(block, TransferFunction):
+        named = {"b": enumerate(block.b), "a": enumerate(block.a, start=1)}
+        return {f"{letter}_{k}": value for letter, values in named.items() for k, value in values}
+    shape = dict(zip(("low", "high"), block.basis.shape, strict=False))
+    return shape | {f"c_{k}": value for k, value in enumerate(block.coefficients, start=1)}
+
+
+def _said(
+    found: Identification, model: FittedModel, verdict: Sequence[str], again: Bootstrap | None
+) -> Iterator[str]:
     shown = sum(one.fit is not None for one in found.trials)
     yield ""
     by = "the simulation of" if found.by == "validation" else f"{found.by.upper()}; kept apart:"
@@ -229,6 +278,8 @@ def _said(found: Identification, verdict: Sequence[str], again: Bootstrap | None
             reasons.setdefault(one.structure, []).append(one.reason)
     for structure, said in reasons.items():
         yield f"not fitted: {len(said)} of {structure}, such as: {said[0]}"
+    yield from _beyond(found)
+    yield from _undetermined(model)
     if found.model_fit.finalists > 1 and found.model_fit.agreeing == 1:
         yield "warning: only one of the starts came to this optimum: there may be a better one"
     fit = 100.0 * (1.0 - found.chosen.rms / (float(np.std(found.parts.output)) or 1.0))
@@ -315,6 +366,7 @@ def _draw_kept_apart(
             parts.output[shown],
             (names[0], names[1], "simulation"),
             [other[shown] for other in others],
+            [part.start - 0.5 for part in parts.kept_experiments[1:] if part.start < shown.stop],
         ),
     )
     if residuals is None:

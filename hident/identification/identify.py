@@ -91,8 +91,8 @@ class Identification:
     ``chosen`` is the trial with the fewest parameters (of a long record, the best) among those whose mean
     squared error on the samples kept apart is within one standard error of the least (of the difference, in
     batches; ``within`` counts the places of these trials), or the one with the least criterion, as ``by``
-    says. ``model_fit`` is its fit to all samples, ``parts`` what it was chosen by, and ``notes`` say what was
-    not tried and why.
+    says. ``model_fit`` is its fit to all samples, ``parts`` what it was chosen by, ``functions`` are the
+    static functions that were tried, and ``notes`` say what was not and why.
     """
 
     trials: tuple[Trial, ...]
@@ -101,6 +101,7 @@ class Identification:
     model_fit: ChainFit
     parts: Split
     by: By
+    functions: Functions
     notes: tuple[str, ...] = ()
 
     def estimate(self, record: Record) -> Estimate:
@@ -208,7 +209,8 @@ class _Search:
         near = near_the_best(self._wanted(structures))
         within = frozenset(i for i, one in enumerate(self.trials) if one in near)
         notes = self.functions.notes(structures)
-        return Identification(tuple(self.trials), within, chosen, fit, self.parts, self.by, notes)
+        trials = tuple(self.trials)
+        return Identification(trials, within, chosen, fit, self.parts, self.by, self.functions, notes)
 
     def _wanted(self, structures: Sequence[str]) -> list[Trial]:
         return [one for one in self.trials if one.fit is not None and one.structure in structures]

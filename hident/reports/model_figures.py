@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -252,11 +253,13 @@ def comparison(
     y: Array | None,
     names: tuple[str, str, str],
     others: Sequence[Array] = (),
+    begins: Sequence[float] = (),
 ) -> Figure:
     """The model's output over time beside the measured one, their difference, and the input.
 
     ``others`` are the outputs of the same chain fitted to other data, such as bootstraps. ``names`` are the
-    labels of the input, of the output, and what the model's output is.
+    labels of the input, of the output, and what the model's output is. A dotted line stands where another
+    experiment ``begins``.
     """
     count = 2 if y is None else 3
     figure, grid = panel_rows(count, 1, (6.4, 1.8), (0.4, 0.4), sharex=True)
@@ -274,6 +277,8 @@ def comparison(
     rest[-1].step(time, u, where="post", color=LINES[2]["color"], linewidth=0.9)
     rest[-1].set_ylabel(names[0])
     rest[-1].set_xlabel(label)
+    for axes, begin in itertools.product(grid[:, 0], begins):
+        axes.axvline(begin, color="black", linewidth=0.8, linestyle=":")
     rest[-1].set_xlim(time[0], time[-1] if len(time) > 1 else time[0] + 1.0)
     legend_above(figure)
     return figure

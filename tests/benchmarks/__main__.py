@@ -10,7 +10,7 @@ from tests.benchmarks.summary import finish
 from tests.benchmarks.timing import FIGURES
 
 # Those with peak memory come early: a child's begins at what its parent holds when it starts.
-_ALL = ("startup", "scaling", "two_stage", "chen", "brouri", "workers", "many_trials", "trials")
+_ALL = ("startup", "scaling", "two_stage", "chen", "brouri", "records", "workers", "many_trials", "trials")
 
 
 def main() -> None:

@@ -271,6 +271,38 @@ def test_bootstraps_are_bands_in_the_figures(folder):
     assert (folder / "bands/bode.png").stat().st_size > 0
 
 
+def _printed(folder, u, y, *arguments):
+    lines = ["u,y", *(f"{a:.6g},{b:.6g}" for a, b in zip(u, y, strict=True))]
+    (folder / "r.csv").write_text("\n".join(lines) + "\n")
+    done = run_forked(["identify", "r.csv", "--input", "u", "--output", "y", *arguments], folder)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
+def test_inputs_that_were_not_fitted_are_said(tmp_path):
+    draws = np.random.default_rng(0)
+    u = np.r_[draws.choice([0.0, 1.0, 2.0], 240), draws.choice([0.0, 3.0], 60)]
+    y = TransferFunction((0.0, 0.4), (0.6,)).filter(u**2) + 0.01 * draws.standard_normal(300)
+    said = _printed(tmp_path, u, y, "--structure", "hammerstein")
+    assert "of the samples kept apart have input levels (3) that were not fitted" in said
+    assert "the input has 3 levels: of a static function at the input it tells 3 values and" in said
+    u, y = tank(300)
+    assert "that were not fitted" not in _printed(tmp_path, u, y, "--structure", "linear")
+    # The values at the end are greater than all before.
+    u[250:] += 3.0
+    said = _printed(tmp_path, u, y, "--structure", "linear")
+    assert "% of the samples kept apart have input values, outside of " in said
+
+
+def test_numbers_that_the_record_does_not_determine_are_said(tmp_path):
+    draws = np.random.default_rng(0)
+    u = draws.standard_normal(200)
+    y = 0.5 * u + 2.0 * draws.standard_normal(200)
+    said = _printed(tmp_path, u, y, "--structure", "wiener_hammerstein")
+    assert "numbers of the model are below their standard errors: the record does not determine them" in said
+    assert "below their standard errors" not in _printed(tmp_path, *tank(300), "--structure", "linear")
+
+
 def test_the_command_writes_a_model_a_table_and_a_configuration(folder):
     arguments = ["identify", "tank.csv", "--input", "valve", "--output", "level", "--dt", "4"]
     done = run_forked([*arguments, "--structure", "linear"], folder)
