@@ -21,7 +21,7 @@ from hident.identification.candidates import STRUCTURES, Functions, Orders, chai
 from hident.identification.continuation import continued, resumed
 from hident.identification.split import Split, split
 from hident.measurements.delay import correlation, delay
-from hident.numerics.choices import first_least, within_one_standard_error
+from hident.numerics.choices import first_least, standard_error, within_one_standard_error
 from hident.numerics.information_criteria import aic, bic
 from hident.numerics.judgement import Residuals, judgement
 from hident.records import Estimate, Record
@@ -40,23 +40,24 @@ _CLOSE = 1.03
 _MOST_LINEAR, _MORE_LINEAR, _MANY = 4, 8, 5000
 # Beyond the first few, linear models grow until so many orders in a row have gained nothing.
 _NO_GAIN = 2
+# So many standard errors are no chance.
+_SURELY = 3.0
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
     """A chain that was tried, and its fit; ``reason`` says why there is none.
 
-    ``count`` is the number of free parameters, ``estimation`` the root mean squared error of the simulation
-    of all ``samples`` that are to be fitted, of which a short fit has seen a part, and ``validation`` the
-    squared errors (M,) of that of the samples kept apart.
+    ``count`` is the number of free parameters. ``fitted`` (N,) and ``validation`` (M,) are the squared errors
+    of the simulation of all samples that are to be fitted, of which a short fit has seen a part, and of those
+    that are kept apart.
     """
 
     structure: str
     spec: PredictionError
     count: int = 0
     fit: ChainFit | None = None
-    estimation: float = np.inf
-    samples: int = 0
+    fitted: Array = field(default_factory=lambda: np.zeros(0))
     validation: Array = field(default_factory=lambda: np.zeros(0))
     reason: str = ""
 
@@ -66,14 +67,19 @@ class Trial:
         return float(np.sqrt(np.mean(self.validation))) if len(self.validation) else np.inf
 
     @property
+    def estimation(self) -> float:
+        """The root mean squared error on the samples that are to be fitted; infinite without a fit."""
+        return float(np.sqrt(np.mean(self.fitted))) if len(self.fitted) else np.inf
+
+    @property
     def aic(self) -> float:
         """Akaike's criterion of the samples that are fitted; infinite without a fit."""
-        return aic(self._mse, self.samples, self.count) if self.fit is not None else np.inf
+        return aic(self._mse, len(self.fitted), self.count) if self.fit is not None else np.inf
 
     @property
     def bic(self) -> float:
         """Schwarz's criterion of the samples that are fitted; infinite without a fit."""
-        return bic(self._mse, self.samples, self.count) if self.fit is not None else np.inf
+        return bic(self._mse, len(self.fitted), self.count) if self.fit is not None else np.inf
 
     @property
     def _mse(self) -> float:
@@ -89,10 +95,11 @@ class Identification:
     """All that was tried, and what was chosen, see :func:`identify` (which has an example).
 
     ``chosen`` is the trial with the fewest parameters (of a long record, the best) among those whose mean
-    squared error on the samples kept apart is within one standard error of the least (of the difference, in
-    batches; ``within`` counts the places of these trials), or the one with the least criterion, as ``by``
-    says. ``model_fit`` is its fit to all samples, ``parts`` what it was chosen by, ``functions`` are the
-    static functions that were tried, and ``notes`` say what was not and why.
+    squared error on the samples kept apart is within one standard error of the least (``within`` holds their
+    places) and that are not surely worse on those that are fitted; or the one with the least criterion, as
+    ``by`` says.
+    ``model_fit`` is its fit to all samples, ``parts`` what it was chosen by, ``functions`` are the static
+    functions that were tried, and ``notes`` say what was not and why.
     """
 
     trials: tuple[Trial, ...]
@@ -275,10 +282,10 @@ class _Search:
 
         Orders were compared with another function: with the chosen one, lower ones may do.
         """
-        chosen = simplest(wanted, self.by)
+        chosen = preferred(wanted, self.by)
         while (spec := _smaller(chosen.spec)) is not None:
             smaller = self._fitted(chosen.structure, spec, self.short)
-            if smaller.fit is None or simplest([*wanted, smaller], self.by) is not smaller:
+            if smaller.fit is None or preferred([*wanted, smaller], self.by) is not smaller:
                 break
             wanted = [*wanted, smaller]
             chosen = smaller
@@ -328,8 +335,7 @@ class _Search:
             return self._told(Trial(structure, spec, reason="the simulation of the record is not finite"))
         # A factor between a linear block and a static function is no parameter.
         count = fit.point.parameters.count() - STRUCTURES[structure].count("L")
-        estimation = float(np.sqrt(np.mean(fitted**2)))
-        return self._told(Trial(structure, spec, count, fit, estimation, len(fitted), kept**2))
+        return self._told(Trial(structure, spec, count, fit, fitted**2, kept**2))
 
     def _told(self, trial: Trial) -> Trial:
         """The trial, kept in the place of a shorter fit of the same chain if there was one."""
@@ -359,6 +365,23 @@ def simplest(trials: Sequence[Trial], by: By) -> Trial:
     if by != "validation":
         return best(trials, by)
     return min(near_the_best(trials), key=lambda one: (one.count, one.rms))
+
+
+def preferred(trials: Sequence[Trial], by: By) -> Trial:
+    """As :func:`simplest`, but for those that are surely worse than the best on the samples that are fitted.
+
+    Where few samples are kept apart, a chain may be as good there by chance; the many others tell.
+    """
+    if by != "validation":
+        return best(trials, by)
+    near = near_the_best(trials)
+    first = min(near, key=lambda one: one.rms)
+
+    def is_surely_worse(one: Trial) -> bool:
+        more = one.fitted - first.fitted
+        return float(np.mean(more)) > _SURELY * standard_error(more)
+
+    return min((one for one in near if not is_surely_worse(one)), key=lambda one: (one.count, one.rms))
 
 
 def first_lag(data: Data) -> int:

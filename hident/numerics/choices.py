@@ -88,13 +88,22 @@ def simplest(values: ArrayLike, sizes: ArrayLike, *, factor: float, scale: float
     return int(alike[first_least(values[alike], scale=scale)])
 
 
+def standard_error(values: NDArray[np.float64]) -> float:
+    """The standard error of the mean of values (N,), in the order of time, of which close ones are alike.
+
+    From the means of 4 to 20 batches, which are longer than the values remember.
+    """
+    batches = min(max(len(values) // block_length(values, whole(len(values))), _FEWEST_BATCHES), _BATCHES)
+    means = [batch.mean() for batch in np.array_split(values, min(batches, len(values)))]
+    return float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 1 else 0.0
+
+
 def within_one_standard_error(squared: Sequence[NDArray[np.float64]]) -> NDArray[np.bool_]:
     """Which candidates (C,) have a mean squared error within one standard error of the least.
 
     Where that is so, the data do not tell them apart, and the simplest will do (Breiman, Friedman, Olshen,
     Stone 1984, section 3.4.3). The standard error is that of the difference from the best candidate, sample
-    by sample, from the means of 4 to 20 batches, which are longer than the difference remembers, as errors
-    that follow each other are alike.
+    by sample.
 
     Parameters
     ----------
@@ -108,14 +117,8 @@ def within_one_standard_error(squared: Sequence[NDArray[np.float64]]) -> NDArray
     array([ True,  True, False])
     """
     best = squared[int(np.argmin([np.mean(one) for one in squared]))]
-    near = []
-    for one in squared:
-        more = one - best
-        batches = min(max(len(more) // block_length(more, whole(len(more))), _FEWEST_BATCHES), _BATCHES)
-        means = [batch.mean() for batch in np.array_split(more, min(batches, len(more)))]
-        error = float(np.std(means, ddof=1) / np.sqrt(len(means))) if len(means) > 1 else 0.0
-        near.append(float(np.mean(more)) <= error + TIE * float(np.mean(best)))
-    return np.array(near)
+    slack = TIE * float(np.mean(best))
+    return np.array([float(np.mean(one - best)) <= standard_error(one - best) + slack for one in squared])
 
 
 def sorting(values: NDArray[np.float64]) -> NDArray[np.intp]:
