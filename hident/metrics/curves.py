@@ -21,6 +21,7 @@ from hident.metrics.base import MetricSpec
 from hident.metrics.outputs import OnOutput
 from hident.numerics.parts import in_each, longer_than
 from hident.records import Estimate, Record, needed
+from hident.sampled_blocks import SampledTransferFunction
 from hident.static_functions import StaticFunction
 
 # The default band reaches so far below the Nyquist frequency.
@@ -118,7 +119,7 @@ class StaticFunctionValues(_OfBlock):
 class FrequencyResponse(_OfBlock):
     """Gain in dB and phase in degrees of a linear block, at frequencies of equal ratios.
 
-    The phase is unwound from the lowest frequency on.
+    Those of a continuous block are without the hold. The phase is unwound from the lowest frequency on.
 
     Examples
     --------
@@ -167,6 +168,8 @@ class FrequencyResponse(_OfBlock):
             else needed(estimate.continuous or estimate.linear)
         )
         omega = self._omega(record.dt)
+        if isinstance(block, SampledTransferFunction):
+            block = block.continuous
         if isinstance(block, ContinuousTransferFunction):
             response = block.frequency_response(omega)
         else:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hident.arrays import Array
+from hident.arrays import Array, Complex
 from hident.block_chain import BlockChain
 from hident.fitted_model import FittedModel
 from hident.linear_blocks import MOST_POLES, TransferFunction
@@ -154,11 +154,11 @@ def _gain_and_phase(block: Any, omega: Array) -> tuple[Array, Array]:
 
     Those of a continuous block are without the hold.
     """
+    response: Complex
     if isinstance(block, SampledTransferFunction):
         response = block.continuous.frequency_response(omega / block.dt)
     else:
-        q = np.exp(-1j * omega)
-        response = np.polyval(block.b[::-1], q) / np.polyval(block.denominator[::-1], q)
+        response = block.frequency_response(omega)
     size = np.maximum(np.abs(response), np.finfo(float).tiny)
     return 20.0 * np.log10(size), np.degrees(np.unwrap(np.angle(response)))
 

@@ -218,8 +218,7 @@ class StaticSpec(BlockSpec):
         return len(basis.shape) + basis.size
 
     def numbers(self) -> int:
-        x = np.linspace(0.0, 1.0, _POINTS)
-        basis = self.basis(x, 0.0, 1.0)
+        basis = self.basis_for(np.linspace(0.0, 1.0, _POINTS), 0.0, 1.0)
         return len(basis.shape) + basis.size
 
     def is_fixed(self) -> bool:
