@@ -339,7 +339,8 @@ def _draw_kept_apart(
     parts, units = found.parts, record.units
     names = [
         name + (f" ({units[side]})" if units.get(side) else "")
-        for name, side in ((one_of(map(str, spec.input)), "input"), (one_of(map(str, spec.output)), "output"))
+        for side in ("input", "output")
+        for name in [one_of(map(str, _kept_columns(spec, side)))]
     ]
     assert found.chosen.fit is not None
     made = parts.simulated(found.chosen.fit.point.parameters.chain)
@@ -376,6 +377,12 @@ def _draw_kept_apart(
         folder / "residuals.png", lambda: residual_figure(residuals, step, (label, f"residual e{unit}"))
     )
     return ["kept_apart.png", "residuals.png"]
+
+
+def _kept_columns(spec: MeasuredRecord, side: str) -> Sequence[Any]:
+    """The columns that the input or the output of the samples kept apart are from."""
+    columns: Sequence[Any] = getattr(spec.validation, side, None) or getattr(spec, side)
+    return columns
 
 
 def _shown(y: Array, experiments: Parts) -> slice:

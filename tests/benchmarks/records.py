@@ -25,7 +25,7 @@ from hident.errors import RecordAbsent
 from hident.estimators.prediction_error.prediction_error import PredictionError
 from hident.identification.identify import identify
 from hident.records import Record, needed
-from tests.benchmarks.timing import figure, seconds, show
+from tests.benchmarks.timing import figure, processor_seconds, show
 
 # Of each configuration's record, the first samples of its validation part that are not scored.
 _RECORDS = {"data_example": 10, "data_tanks": 50, "data_exchanger": 50}
@@ -65,7 +65,7 @@ def main() -> None:
         rows += [[name, *row(contender, record, n_init)] for contender in contenders]
     show(
         "Records: simulation of samples that were not fitted",
-        ("record", "method", "RMSE", "fit %", "s"),
+        ("record", "method", "RMSE", "fit %", "processor s"),
         rows,
         (
             "The validation part is simulated from its input; the first 10 (data_example) or 50 samples are",
@@ -83,14 +83,14 @@ def row(contender: Contender, record: Record, n_init: int) -> list[str]:
     try:
         with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            taken = seconds(lambda: found.append(contender.fit(fitted, n_init)))
+            taken = processor_seconds(lambda: found.append(contender.fit(fitted, n_init)))
             other = needed(record.validation)
             made = found[0](other.u, other.y)
     except Exception as error:
         return [contender.name, f"failed: {type(error).__name__}", "-", "-"]
     rmse = float(np.sqrt(np.mean((made - other.y)[n_init:] ** 2)))
     if contender.name == "hident identify":
-        figure(f"identify, record of {len(record)} samples: seconds", [taken], str(_IDENTIFY_AIM))
+        figure(f"identify, record of {len(record)} samples: processor seconds", [taken], str(_IDENTIFY_AIM))
     fit = 100.0 * (1.0 - rmse / float(np.std(other.y[n_init:])))
     return [contender.name, f"{rmse:.4g}", f"{fit:.1f}", f"{taken:.2f}"]
 

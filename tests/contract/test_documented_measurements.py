@@ -20,7 +20,7 @@ from hident.engine.runner import run
 from hident.errors import EstimationError
 from hident.identification.candidates import STRUCTURES
 from hident.metrics.residuals import ResidualTest
-from hident.reports.output import Outputs
+from hident.reports.output import Outputs, check
 from tests.documented import ROOT, blocks
 from tests.forked import run_forked
 from tests.unit.plans import planned
@@ -122,13 +122,28 @@ def test_the_chain_of_blocks_is_a_configuration(folder: Path) -> None:
     assert all(np.isfinite(series.values).all() for series in run(plan).series)
 
 
+@pytest.mark.parametrize("part", ["kind: candidates", "kind: bands"])
+def test_what_is_added_to_the_configuration_is_drawn(folder: Path, part: str) -> None:
+    [whole] = [text for text in blocks(PAGE, "yaml") if text.startswith("version")]
+    [added] = [text for text in blocks(PAGE, "yaml") if part in text]
+    # PyYAML reads on as true.
+    sections = [yaml.safe_load(text.replace("on: ", '"on": ')) for text in (whole, added)]
+    plan = planned(folder, yaml.safe_dump({**sections[0], **sections[1]}))
+    check(plan)
+    out = folder / part.removeprefix("kind: ")
+    assert Outputs(plan, out).write(run(plan), {}) == ()
+    [page] = out.rglob("table.md")
+    assert ("chosen |" in page.read_text(encoding="utf-8")) == (part == "kind: candidates")
+    assert bool([*out.rglob("bands.png")]) == (part == "kind: bands")
+
+
 def test_what_stands_in_the_tables_is_there() -> None:
     plugins.load()
     rows = dict(re.findall(r"^\| `(\w+)` \| (L|N-L|L-N|L-N-L|N-L-N) \|", TEXT, re.MULTILINE))
     assert rows == dict(STRUCTURES)
     named = re.search(r"Static ones\s+are (.*?); beyond", TEXT, re.DOTALL)
     assert named
-    assert {*re.findall(r"`(\w+)`", named[1])} | {"linear"} == {*components("block")}
+    assert {*re.findall(r"`(\w+)`", named[1])} | {"linear", "continuous"} == {*components("block")}
     assert {"rmse", "nrmse", "r_squared", "mae", "fit_index"} < {*components("metric")}
     assert len(ResidualTest.model_fields["of"].annotation.__args__) == 5  # type: ignore[union-attr]
 
