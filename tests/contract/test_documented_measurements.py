@@ -127,7 +127,7 @@ def test_what_is_added_to_the_configuration_is_drawn(folder: Path, part: str) ->
     [whole] = [text for text in blocks(PAGE, "yaml") if text.startswith("version")]
     [added] = [text for text in blocks(PAGE, "yaml") if part in text]
     # PyYAML reads on as true.
-    sections = [yaml.safe_load(text.replace("on: ", '"on": ')) for text in (whole, added)]
+    sections = [yaml.safe_load(re.sub(r"\bon: ", '"on": ', text)) for text in (whole, added)]
     plan = planned(folder, yaml.safe_dump({**sections[0], **sections[1]}))
     check(plan)
     out = folder / part.removeprefix("kind: ")
