@@ -101,7 +101,7 @@ def checks(
     >>> import hident as hi
     >>> found = checks(hi.DeadZone(low=-1, high=1))
     >>> str(found[-1])
-    'dead_zone names its break points in increasing order'
+    'dead_zone has the slope of its values'
     >>> for check in found:
     ...     check()
 

@@ -193,8 +193,8 @@ def late(record: Record, largest: int) -> int:
 
     The levels are our own. Of records without a delay (30 to 500 samples of polynomials, a dead zone and an
     absolute value, before a pole at 0.5 to 0.995) none was noticed to have one: of 19 200 with inputs that
-    were independent or AR(1) with 0.3, and of 30 000 with 0.4 to 0.9. docs/concepts.md has the rates at which one is noticed, and ``TestRatesOfNoticing``
-    measures both on other seeds.
+    were independent or AR(1) with 0.3, and of 30 000 with 0.4 to 0.9. docs/concepts.md has the rates at
+    which one is noticed, and ``TestRatesOfNoticing`` measures both on other seeds.
 
     Examples
     --------
