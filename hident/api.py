@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from types import MappingProxyType
@@ -42,6 +43,7 @@ from hident.errors import ConfigError
 from hident.estimators.base import EstimatorSpec
 from hident.metrics.base import MetricSpec
 from hident.records import Estimate, Record
+from hident.run_folder import phase
 from hident.signals.base import ExcitationSpec, NoiseSpec
 from hident.signals.streams import NumpyStreams, StreamsSpec
 from hident.systems.base import SystemSpec
@@ -403,7 +405,9 @@ def _ran(
 ) -> Results:
     if store is not None or executor is not None:
         _require_source(plan)
-    check_records(plan)
+    seconds: dict[str, float] = {}
+    with phase(seconds, "records checked"):
+        check_records(plan)
     with ExitStack() as stack, _as_in_a_run():
         if isinstance(store, str | Path):
             store = stack.enter_context(Store(Path(store)).writing())
@@ -416,7 +420,9 @@ def _ran(
         try:
             workers = _workers(executor, plan)
             stack.push(partial(_ended, workers))
-            return runner.run(plan, store=store, executor=workers)
+            with phase(seconds, "trials"):
+                results = runner.run(plan, store=store, executor=workers)
+            return replace(results, how={**results.how, "seconds": seconds})
         except runner.CrashReport as crash:
             crash.add_note(crash.tracebacks)
             raise
@@ -508,7 +514,9 @@ def write(results: Results, folder: str | Path) -> tuple[str, ...]:
     """
     from hident.reports.output import Outputs
 
-    return Outputs(results.plan, Path(folder)).write(results, {})
+    how = dict(results.how)
+    seconds = how.pop("seconds", {})
+    return Outputs(results.plan, Path(folder)).write(results, how, seconds)
 
 
 def status(

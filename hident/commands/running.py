@@ -8,7 +8,7 @@ from contextlib import chdir, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hident import arithmetic, stopping
 from hident.engine.cores import usable_cores
@@ -74,7 +74,7 @@ class Bench:
             with self._writing(plan) as writer:
                 power = measured(plan, alternatives, partial(self._alternative, plan, writer))
             folder = self.out / POWER / plan.name
-            write_power(plan, power, number, folder, self._workers_used())
+            write_power(plan, power, number, folder, self.workers.used)
             if not self.quiet:
                 alone = len(self.plans) == 1
                 print(
@@ -120,7 +120,7 @@ class Bench:
                         check_records(plan)
                     with phase(seconds, "trials"):
                         results = self._trials(plan, writer, plan.name, keep_going=keep_going)
-                    undrawn = outputs.write(results, self._workers_used(), seconds)
+                    undrawn = outputs.write(results, results.how, seconds)
                     note = f"{plan.name}: wrote {outputs.folder}"
                     if (hanging := hanging_means(results)) and not self.quiet:
                         print(f"{plan.name}: {hanging}", file=sys.stderr)
@@ -137,11 +137,6 @@ class Bench:
                 warn("store mended", said)
                 print(f"warning: {said}", file=sys.stderr)
             yield writer
-
-    def _workers_used(self) -> dict[str, Any]:
-        """How many there were, and which of them had another arithmetic than the one that run.json names."""
-        others = {"other_arithmetics": self.workers.others} if self.workers.others else {}
-        return {"workers": self.workers.count, **others}
 
     def _sensitivity(self, plan: Plan, perturbations: int, values: TrialValues) -> Sensitivity:
         """How many trials of a plan, whose values are given, move when their records are a last bit away."""

@@ -63,6 +63,11 @@ class Workers(Executor):
         """Arithmetics that are not that of this process, each with the first worker that had it."""
 
     @property
+    def used(self) -> dict[str, Any]:
+        """How many there were, and which of them had another arithmetic than this process, for run.json."""
+        return {"workers": self.count, **({"other_arithmetics": dict(self.others)} if self.others else {})}
+
+    @property
     def most(self) -> int:
         """How many calls it is given at once; one if this process is inside it at Ctrl-C."""
         # A worker finds its next chunk waiting while this process stores the last one.

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -149,7 +149,8 @@ class Results:
 
     ``series`` holds one :class:`Series` for each label of a metric of each unit, ``plan`` what was run,
     ``timed_out`` how many trials of units count as failed because they took longer than the trial timeout,
-    ``timings`` how long the fits of each unit took, ``part_of`` the results of which :meth:`at` took a part.
+    ``timings`` how long the fits of each unit took, ``how`` what run.json says of the run, such as its number
+    of workers, ``part_of`` the results of which :meth:`at` took a part.
     :meth:`frame` gives the statistics, :meth:`trials_frame` every trial's value, :meth:`timing_frame` the
     seconds.
     """
@@ -158,6 +159,7 @@ class Results:
     series: tuple[Series, ...]
     timed_out: int = 0
     timings: tuple[Timing, ...] = ()
+    how: Mapping[str, Any] = field(default_factory=dict, repr=False)
     part_of: Results | None = field(default=None, repr=False)
 
     @property

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -135,7 +135,7 @@ def run(
             tell("decision", said, config=plan.name, trials=number, imprecise=len(imprecise))
         if not imprecise:
             break
-    return results
+    return replace(results, how=executor.used)
 
 
 class _Run:

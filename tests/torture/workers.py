@@ -63,11 +63,12 @@ MISDEEDS = {
 def torture(tally: Tally, rng: random.Random, count: int) -> None:
     """Commit each misdeed ``count`` times, in some trials of one of four units, by one and by two workers."""
     for name, misdeed in MISDEEDS.items():
-        # Its trials have good and bad ones, whatever the chunk.
+        # Its trials have good and bad ones, whatever the chunk. All divide by zero, and first: who asks
+        # for an error and then makes one fails, but the next trial must not.
         body = (
-            f"if not {_REPAIRED} and len(record) == 80 and self.place "
+            f"np.log(np.zeros(1))\nif not {_REPAIRED} and len(record) == 80 and self.place "
             f"and record.u[1] > {rng.uniform(3, 5)}:\n"
-            f"    {misdeed.code}\nnp.log(np.zeros(1))"
+            f"    {misdeed.code}"
         )
         with new_victim(_TRIALS, body=body) as victim:
             for jobs in sorted(misdeed.ends) * count:

@@ -1,5 +1,6 @@
 """The verbs from Python: the same numbers as a run of the command line, and the same words."""
 
+import json
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 
 import numpy as np
@@ -11,6 +12,7 @@ import hident as hi
 from hident.config.spec import component
 from hident.engine.scores import Scores
 from hident.engine.store import MemoryStore, Store
+from hident.engine.work import compute
 from hident.errors import ConfigError, StoreError, TrialsCrashed
 from hident.estimators.base import EstimatorSpec
 from hident.signals.streams import NumpyStreams
@@ -102,6 +104,26 @@ def test_a_store_is_kept_and_no_other_file_is_written(results, tmp_path, monkeyp
     hi.write(first, "out/experiment")
     assert hi.status(MADE) == {"stored": 16, "of": 16, "outputs": "up to date"}
     assert hi.compare("out", "out").differences == ()
+
+
+def test_run_json_says_how_it_was_computed(tmp_path, monkeypatch):
+    def of(results):
+        hi.write(results, tmp_path / "out")
+        return json.loads((tmp_path / "out/run.json").read_text())["provenance"]
+
+    alone = of(hi.run(MADE))
+    assert alone["workers"] == 1
+    assert [*alone["seconds"]] == ["records checked", "trials", "tables", "figures"]
+    assert "other_arithmetics" not in alone
+
+    def elsewhere(*chunk):
+        """As a worker on another machine may say of itself."""
+        return compute(*chunk)._replace(worker="elsewhere", arithmetic="another")
+
+    monkeypatch.setattr("hident.engine.runner.compute", elsewhere)
+    with ThreadPoolExecutor(2) as threads, pytest.warns(UserWarning, match="another arithmetic"):
+        found = hi.run(MADE, executor=threads)
+    assert of(found)["other_arithmetics"] == {"another": "elsewhere"}
 
 
 @pytest.mark.parametrize("store", [3, {}, MemoryStore, object()])
