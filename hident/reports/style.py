@@ -36,6 +36,8 @@ TRUTH: Look = {"color": "black", "linewidth": 1.4, "zorder": 4}
 TRUE_LEVEL: Look = {"color": "black", "linewidth": 1.0, "zorder": 1}
 """A line across a panel at a true number: behind the estimates, and over the grid."""
 ESTIMATE: Look = {"color": "#c1440e", "linewidth": 1.1, "zorder": 5}
+PRINTED: Look = {"linestyle": "none", "markerfacecolor": "none", "markeredgewidth": 1.3, "markersize": 8}
+"""Of a printed number: an open marker, of ours beside it larger, in the colour and shape of a line."""
 DATA: Look = {"color": "0.62", "marker": ".", "linestyle": "none", "markersize": 3, "zorder": 1}
 
 _PRINT_DPI = 300
@@ -161,12 +163,11 @@ def panel_grid(count: int, columns: int, width: float, height: float) -> tuple[F
 
 
 def label_edges(grid: Any, x_label: str, y_label: str) -> None:
-    """Label the abscissas of the lowest row of axes, and the ordinates of the first column."""
+    """Label the abscissas of the lowest axes of each column, and the ordinates of the first column."""
     for column in grid.T:
-        lowest = column[-1]
-        if composed():
-            # Where fewer panels stand beside each other, the last row may be short.
-            lowest = [axes for axes in column if axes.get_visible()][-1]
+        lowest = [axes for axes in column if axes.get_visible()][-1]
+        if lowest is not column[-1]:
+            # The last row is short, and axes that share theirs show no numbers above it.
             lowest.tick_params(labelbottom=True)
         lowest.set_xlabel(x_label)
     for axes in grid[:, 0]:

@@ -40,7 +40,8 @@ def test_a_curve_shows_statistic_band_printed_numbers_and_slope(tmp_path, draw):
     values = {("one", str(n)): np.linspace(1.0, 2.0, 21) / n for n in (10, 100, 1000)}
     numbers = "".join(f"T,N={n},error,{2 / n},\n" for n in (10, 100, 1000))
     rest = CURVE + PUBLISHED.format(runs=1, statistic="median")
-    axes = draw(made(tmp_path, values, rest=rest, printed=numbers)).axes[0]
+    figure = draw(made(tmp_path, values, rest=rest, printed=numbers))
+    axes = figure.axes[0]
     lines = {line.get_label(): line for line in axes.lines if line.get_label()[0] != "_"}
     assert list(lines) == ["one", "one, printed", "two", "falls"]
     assert lines["one"].get_ydata() == pytest.approx([0.15, 0.015, 0.0015])
@@ -50,7 +51,20 @@ def test_a_curve_shows_statistic_band_printed_numbers_and_slope(tmp_path, draw):
     assert (band.y0, band.y1) == pytest.approx((1.05 / 1000, 1.95 / 10))
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("N", "error")
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == list(lines)
+    # Above the panel, where it lies over nothing.
+    [legend] = figure.legends
+    assert axes.get_legend() is None
+    assert {text.get_text() for text in legend.get_texts()} == {*lines}
+    assert lines["one, printed"].get_markerfacecolor() == "none"
+
+
+def test_the_lowest_panel_of_each_column_has_numbers_and_a_label(tmp_path, draw):
+    rest = CURVE.replace("[[one, two]]", "[[one], [two], [one, two]]")
+    first, second, third, left_out = draw(made(tmp_path, {}, rest=rest)).axes
+    assert not left_out.get_visible()
+    for axes, is_lowest in ((first, False), (second, True), (third, True)):
+        assert axes.get_xlabel() == ("N" if is_lowest else "")
+        assert axes.xaxis.get_tick_params()["labelbottom"] == is_lowest
 
 
 def test_a_curve_may_have_bars_and_a_level_beside_it(tmp_path, draw):

@@ -79,6 +79,8 @@ def test_a_scatter_of_trials_shows_the_printed_pair_of_means(tmp_path, draw):
     axes = draw(results(tmp_path, SCATTER)).axes[0]
     (line,) = (line for line in axes.lines if line.get_label() == "printed")
     assert (line.get_xdata()[0], line.get_ydata()[0]) == (0.4, 0.4)
+    # Black is the truth, and what is printed is open in every figure.
+    assert line.get_markerfacecolor() == "none" and line.get_color() != "black"
 
 
 def test_a_distribution_of_trials_shows_the_printed_mean(tmp_path):

@@ -17,6 +17,7 @@ from hident.ledger.verdicts import Beside, Verdict, beside
 from hident.reports.base import FigureSpec, Misfit, unscored
 from hident.reports.style import (
     LINES,
+    PRINTED,
     TRUE_LEVEL,
     band_edge,
     composed,
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MOST_TICKS = 7
-_MOST_ENTRIES = 4
 
 
 class Slope(Spec):
@@ -102,14 +102,10 @@ class Curve(FigureSpec):
                 self._draw_curve(axes, name, curve, next(lines), printed)
             if curves:
                 self._finish(axes, [*curves.values()])
-            entries = axes.get_legend_handles_labels()
-            if composed():
-                continue
-            if len(panels) > 1 or len(entries[1]) <= _MOST_ENTRIES:
+            if len(panels) > 1 and not composed():
+                # Each panel has curves of its own.
                 axes.legend()
-            else:
-                figure.legend(*entries, loc="outside upper center", ncols=3)
-        if composed():
+        if len(panels) == 1 or composed():
             legend_above(figure)
         label_edges(grid, self.x_label, self.y_label)
         return figure
@@ -152,18 +148,7 @@ class Curve(FigureSpec):
         theirs = [printed.get((id(series), self.statistic)) for series in curve]
         if any(theirs):
             values = np.array([np.nan if v is None else v.printed.value for v in theirs])
-            axes.plot(
-                x,
-                rooted(values),
-                linestyle="none",
-                marker=line["marker"],
-                markersize=8,
-                markerfacecolor="none",
-                markeredgewidth=1.3,
-                color=line["color"],
-                zorder=5,
-                label=f"{name}, printed",
-            )
+            axes.plot(x, rooted(values), zorder=5, label=f"{name}, printed", **line | PRINTED)
 
     def _finish(self, axes: Axes, curves: Sequence[Sequence[Series]]) -> None:
         if self.level is not None:

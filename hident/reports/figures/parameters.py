@@ -17,6 +17,7 @@ from hident.ledger.verdicts import Verdict, beside
 from hident.reports.base import FigureSpec, Misfit, first_case
 from hident.reports.style import (
     LINES,
+    PRINTED,
     TRUE_LEVEL,
     label_edges,
     legend_above,
@@ -121,8 +122,7 @@ class Gain(FigureSpec):
         )
         if all((id(series), "std") in printed for pair in pairs for series in pair):
             theirs = ratios(*([printed[id(one), "std"] for one in side] for side in zip(*pairs, strict=True)))
-            look = {**LINES[1], "linestyle": "none", "markerfacecolor": "none", "markersize": 8}
-            axes.plot(x, theirs, label="printed", **look)
+            axes.plot(x, theirs, label="printed", **LINES[1] | PRINTED)
         axes.axhline(1.0, color="0.4", linewidth=1.0, linestyle=":", label="no gain")
         axes.set_xticks(x, [symbol(value) for value in self.of])
         axes.set_ylabel(self.y_label)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from pydantic import Field
@@ -16,20 +16,11 @@ from hident.ledger.verdicts import Verdict, beside_trials
 from hident.metrics.base import MetricSpec
 from hident.metrics.values import Value
 from hident.reports.base import FigureSpec
-from hident.reports.style import LINES, TRUE_LEVEL, few_log_ticks, legend_above, panel_grid
+from hident.reports.style import LINES, PRINTED, TRUE_LEVEL, few_log_ticks, legend_above, panel_grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-_PRINTED: dict[str, Any] = {
-    "color": "black",
-    "marker": "X",
-    "markersize": 9,
-    "markeredgecolor": "white",
-    "linestyle": "none",
-    "zorder": 5,
-}
 
 
 class Coordinate(Spec):
@@ -100,7 +91,7 @@ class Scatter(FigureSpec):
             draw_pairs(axes, *(series.values for series in pair))
             if all(id(series) in printed for series in pair):
                 x, y = (printed[id(series)] for series in pair)
-                axes.plot(x, y, label="printed", **_PRINTED)
+                axes.plot(x, y, label="printed", zorder=5, **LINES[1] | PRINTED)
             for one, draw_line in ((panel.x, axes.axvline), (panel.y, axes.axhline)):
                 if (true := one.truth(results)) is not None:
                     draw_line(true, label="true", **TRUE_LEVEL)
