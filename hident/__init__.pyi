@@ -51,6 +51,7 @@ from hident.estimators.prediction_error.block_specs import LinearBlock as Linear
 from hident.estimators.prediction_error.block_specs import PiecewiseLinearBlock as PiecewiseLinearBlock
 from hident.estimators.prediction_error.block_specs import PolynomialBlock as PolynomialBlock
 from hident.estimators.prediction_error.block_specs import SaturationBlock as SaturationBlock
+from hident.estimators.prediction_error.block_specs import SeriesBlock as SeriesBlock
 from hident.estimators.prediction_error.prediction_error import PredictionError as PredictionError
 from hident.estimators.selection.select import Select as Select
 from hident.estimators.voros.voros_hammerstein import VorosHammerstein as VorosHammerstein

@@ -16,7 +16,7 @@ from hident.models.source_text import kind_of, wrapped
 from hident.sampled_blocks import SampledTransferFunction
 from hident.static_functions import Chebyshev, DeadZone, PiecewiseLinear, Saturation, StaticFunction
 from hident.systems.base import NonlinearitySpec
-from hident.systems.function_basis import Functions
+from hident.systems.function_basis import Functions, Series
 
 _DIGITS = 5
 _SMALLEST = 15
@@ -202,6 +202,10 @@ def _static(function: StaticFunction, errors: Mapping[str, float]) -> Iterator[s
         case Functions():
             words = [_words(function) for function in basis.functions]
             yield from _sum("f(u) = ", list(zip(c, known, words, strict=True)))
+        case Series():
+            names = [f"phi_{k}(u)" for k in range(basis.size)]
+            yield from _sum("f(u) = ", list(zip(c, known, names, strict=True)))
+            yield f"with the functions of the {basis.basis.kind} basis on {_domain(basis)}"
         case _:
             curve = as_curve(function)
             assert isinstance(curve, CubicPieces)
@@ -212,6 +216,14 @@ def _static(function: StaticFunction, errors: Mapping[str, float]) -> Iterator[s
             if any(error is not None for error in known):
                 yield "coefficients of the B-splines:"
                 yield from wrapped(map(_number, c, known), "  ").split("\n")
+
+
+def _domain(series: Series) -> str:
+    """Where the functions of a series live, and what is beyond."""
+    low, high = series.basis.domain()
+    ends = [f"{end:.{_DIGITS}g}" for end in (low, high) if math.isfinite(end)]
+    between = f"{low:.{_DIGITS}g} to {high:.{_DIGITS}g}"
+    return f"{between}, a line beyond {' and '.join(ends)}" if ends else between
 
 
 def _words(function: NonlinearitySpec) -> str:

@@ -15,10 +15,10 @@
 
 Numbers are written with as many digits as give the same double again. A continuous block is of the kind
 ``continuous_transfer_function``, with ``b`` and ``a`` by rising power of s, ``delay``, and ``intersample``:
-what its input is between the samples (``held`` or ``linear``). A sum of given functions is an ``expansion``:
-its ``functions`` are written as in a configuration, and were fitted between ``low`` and ``high``. A block
-also holds ``errors``, the standard errors of its numbers by name, and ``fitted_on``, the range of its input
-in the fit.
+what its input is between the samples (``held`` or ``linear``). The ``functions`` of an ``expansion`` and the
+basis of a ``series`` are written as in a configuration; they were fitted between ``low`` and ``high``. A
+block also holds ``errors``, the standard errors of its numbers by name, and ``fitted_on``, the range of its
+input in the fit.
 
 ``about`` may hold anything. What other parts of hident look for there is checked: ``input`` and ``output``
 (names of columns), ``units`` (of ``input``, ``output`` and ``time``), ``data`` (the SHA-256 of each file),
@@ -39,7 +39,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PlainVa
 
 from hident.block_chain import Block, BlockChain, settled_state
 from hident.config.load import Document, Problem, problems_of
-from hident.config.spec import Count, NonEmpty, Spec, canonical, plain
+from hident.config.spec import Count, NonEmpty, Of, Spec, canonical, plain
 from hident.config.suggest import did_you_mean, one_of
 from hident.config.yaml12 import Location
 from hident.errors import ConfigError
@@ -56,7 +56,7 @@ from hident.static_functions import (
     StaticFunction,
 )
 from hident.systems.base import NonlinearitySpec, OfStatic
-from hident.systems.function_basis import Functions
+from hident.systems.function_basis import Functions, Series
 
 VERSION = 1
 LARGEST = 2**22
@@ -296,6 +296,17 @@ class _Expansion(_Static):
         return Functions(self.functions, self.low, self.high)
 
 
+class _Series(_Static):
+    kind: ClassVar[str] = Series.kind
+    series: Annotated[Any, Of("basis")]
+    q: Annotated[Count, Field(ge=0)]
+    low: _Number
+    high: _Number
+
+    def basis(self) -> Series:
+        return Series(self.series, self.q, self.low, self.high)
+
+
 _KINDS: dict[str, type[_Block]] = {
     cls.kind: cls
     for cls in (
@@ -307,6 +318,7 @@ _KINDS: dict[str, type[_Block]] = {
         _Saturation,
         _DeadZone,
         _Expansion,
+        _Series,
     )
 }
 
@@ -407,6 +419,9 @@ def _entry(block: Block) -> dict[str, Any]:
         functions = [_as_texts(canonical(function)) for function in basis.functions]
         ends = {"low": basis.low, "high": basis.high}
         return {"kind": basis.kind, "functions": functions, **ends, "coefficients": block.coefficients}
+    if isinstance(basis, Series):
+        known = {"series": canonical(basis.basis), "q": basis.q, "low": basis.low, "high": basis.high}
+        return {"kind": basis.kind, **known, "coefficients": block.coefficients}
     keys = [key for key in _KINDS[basis.kind].model_fields if key not in _Static.model_fields]
     return {
         "kind": basis.kind,

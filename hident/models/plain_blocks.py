@@ -30,7 +30,7 @@ from hident.static_functions import (
     StaticFunction,
 )
 from hident.systems.base import NonlinearitySpec
-from hident.systems.function_basis import Functions
+from hident.systems.function_basis import Functions, Series
 
 Row = tuple[float, ...]
 
@@ -145,6 +145,13 @@ def as_curve(function: StaticFunction) -> BrokenLine | CubicPieces | ChebyshevSu
             return ChebyshevSum(*_end_slopes(function, (low, high)), low, high, c)
         case Functions():
             return FormulaSum(tuple(map(_formula, basis.functions)), c)
+        case Series():
+            if (found := basis.formulas(np.asarray(c))) is None:
+                raise ConfigError(
+                    f"a series of the basis '{basis.basis.kind}' with q = {basis.q} has no formula that is "
+                    "accurate, and cannot be converted"
+                )
+            return FormulaSum(found[0], _row(found[1]))
     raise ConfigError(f"a static function of the basis '{basis.kind}' cannot be converted")
 
 

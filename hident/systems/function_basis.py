@@ -1,11 +1,12 @@
-"""Functions that a user gives, as the basis of a static function."""
+"""Functions that a user gives, one by one or as an orthonormal basis, as the basis of a static function."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
@@ -49,6 +50,10 @@ class Functions:
     @property
     def shape(self) -> tuple[float, ...]:
         return ()
+
+    def seen(self, low: float, high: float) -> Self:
+        """The same functions of signals between these ends."""
+        return replace(self, low=low, high=high)
 
     def reshaped(self, shape: Sequence[float]) -> Self:
         return self
@@ -109,6 +114,125 @@ class Functions:
         """The degree of each function that is homogeneous; None for any other."""
         with np.errstate(all="ignore"):
             return tuple(_degree(phi) for phi in self.functions)
+
+
+class Orthonormal(Protocol):
+    """Orthonormal functions on their domain; see :mod:`hident.estimators.nonparametric.bases`."""
+
+    kind: ClassVar[str]
+
+    def domain(self) -> tuple[float, float]:
+        """The ends of where they live."""
+
+    def size(self, q: int) -> int:
+        """How many there are up to the cutoff level q."""
+
+    def series(self, x: Array, coefficients: Array) -> Array:
+        """Sums over i of c_i phi_i(x): ``x`` (M,) and ``coefficients`` (K, size(q)) to (K, M)."""
+
+    def slopes(self, x: Array, coefficients: Array) -> Array:
+        """Sums over i of c_i phi_i'(x), of the same shapes."""
+
+    def moved(self, coefficients: Array, factor: float, offset: float) -> tuple[Any, Array]:
+        """The same function of z = factor x + offset; ValueError if there is none."""
+
+    def formulas(self, q: int) -> tuple[str, ...] | None:
+        """The functions as formulas in u, if they have any."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """The functions of an orthonormal basis up to the cutoff level q, with lines beyond its domain.
+
+    Signals lay between ``low`` and ``high``.
+    """
+
+    basis: Orthonormal
+    q: int
+    low: float
+    high: float
+    kind: ClassVar[str] = "series"
+
+    @property
+    def size(self) -> int:
+        return self.basis.size(self.q)
+
+    @property
+    def shape(self) -> tuple[float, ...]:
+        return ()
+
+    def seen(self, low: float, high: float) -> Self:
+        """The same functions of signals between these ends."""
+        return replace(self, low=low, high=high)
+
+    def reshaped(self, shape: Sequence[float]) -> Self:
+        return self
+
+    def shape_rows(self, coefficients: Array, x: Array) -> Array:
+        return np.zeros((0, len(x)))
+
+    def rows(self, x: Array) -> Array:
+        return self._sums(np.eye(self.size), x)
+
+    def value(self, coefficients: Array, x: Array) -> Array:
+        return np.asarray(self._sums(coefficients[None], x)[0])
+
+    def slope(self, coefficients: Array, x: Array) -> Array:
+        return np.asarray(self.basis.slopes(np.clip(x, *self.basis.domain()), coefficients[None])[0])
+
+    def _sums(self, coefficients: Array, x: Array) -> Array:
+        inside = np.clip(x, *self.basis.domain())
+        sums = self.basis.series(inside, coefficients)
+        if np.any(beyond := x != inside):
+            slopes = self.basis.slopes(inside[beyond], coefficients)
+            sums[:, beyond] += slopes * (x[beyond] - inside[beyond])
+        return sums
+
+    @property
+    def range(self) -> tuple[float, float]:
+        low, high = self.basis.domain()
+        return max(low, self.low), min(high, self.high)
+
+    def constant(self) -> Array:
+        """The coefficients of the function that is 1 everywhere; ValueError if that is none of them."""
+        low, high = (float(end) for end in np.clip((-1.0, 1.0), *self.basis.domain()))
+        first = self.basis.series(np.linspace(low, high, 9), np.eye(1, self.size))[0]
+        if first[0] == 0.0 or np.any(first != first[0]):
+            raise ValueError("none of the functions is constant")
+        return np.asarray(np.eye(1, self.size)[0] / first[0])
+
+    def moved(self, coefficients: Array, factor: float, offset: float) -> tuple[Series, Array]:
+        """As every basis; ValueError where the functions hold in a unit of their own."""
+        basis, found = self.basis.moved(coefficients, factor, offset)
+        low, high = sorted((factor * self.low + offset, factor * self.high + offset))
+        return Series(basis, self.q, low, high), found
+
+    def is_free_of_scale(self) -> bool:
+        """Whether other coefficients and another domain take over any factor of the argument."""
+        try:
+            self.basis.moved(np.ones(self.size), 2.0, 0.0)
+        except ValueError:
+            return False
+        return True
+
+    def formulas(self, coefficients: Array) -> tuple[tuple[str, ...], Array] | None:
+        """Formulas in u and their coefficients, with the lines beyond the domain; None if there are none."""
+        if (texts := self.basis.formulas(self.q)) is None:
+            return None
+        low, high = self.basis.domain()
+        left, right = (
+            self.slope(coefficients, np.array([end]))[0] if np.isfinite(end) else 0.0 for end in (low, high)
+        )
+        inside = "u"
+        lines: list[tuple[str, float]] = []
+        if np.isfinite(low):
+            inside = f"maximum({inside}, {low!r})"
+            lines.append((f"minimum(u - {low!r}, 0)", left))
+        if np.isfinite(high):
+            inside = f"minimum({inside}, {high!r})"
+            lines.append((f"maximum(u - {high!r}, 0)", right))
+        found = [*(re.sub(r"\bu\b", inside, text) for text in texts), *(text for text, _ in lines)]
+        return tuple(found), np.array([*coefficients, *(slope for _, slope in lines)])
 
 
 def _degree(phi: NonlinearitySpec) -> float | None:

@@ -7,14 +7,16 @@ import pytest
 
 import hident as hi
 from hident.block_chain import BlockChain
+from hident.config.expression import Formula
 from hident.errors import ConfigError, EstimationError
+from hident.estimators.nonparametric.bases import BasisSpec
 from hident.estimators.prediction_error.gauge import normalised
 from hident.fitted_model import FittedModel
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
-from hident.records import Record
+from hident.records import Record, needed
 from hident.sampled_blocks import SampledTransferFunction
 from hident.static_functions import Chebyshev, StaticFunction
-from hident.systems.function_basis import Functions
+from hident.systems.function_basis import Functions, Series
 
 TANH = hi.Expression(expression="tanh(2*u)")
 HALF = hi.Expression(expression="where(u > 0, u**2, 0)")
@@ -246,7 +248,7 @@ class TestFiles:
         hi.write_model(self.MODEL, tmp_path / "model.json")
         content = (tmp_path / "model.json").read_text().replace('"chen_type_3"', '"chen_type_9"')
         (tmp_path / "model.json").write_text(content)
-        with pytest.raises(ConfigError, match=r"blocks\[0\].functions\[3\].*chen_type_9.*did you mean"):
+        with pytest.raises(ConfigError, match=r"blocks\[0\].functions\[3\].*did you mean 'chen_type_4'"):
             hi.load_model(tmp_path / "model.json")
 
     @pytest.mark.parametrize("to", ["python", "scipy"])
@@ -286,3 +288,80 @@ class TestFiles:
         model = FittedModel(BlockChain((of([long], 1.0),)))
         with pytest.raises(ConfigError, match="a function of the kind 'piecewise_linear' has no formula"):
             hi.convert(model, "python")
+
+
+BASES = {
+    basis.kind: basis
+    for basis in (
+        hi.Trigonometric(interval=[-3, 4]),
+        hi.Legendre(interval=[-3, 4]),
+        hi.Laguerre(),
+        hi.Hermite(),
+    )
+}
+
+
+def series(kind, q=4, seed=0):
+    basis = Series(BASES[kind], q, -2.0, 3.0)
+    return StaticFunction(basis, tuple(np.random.default_rng(seed).normal(size=basis.size).tolist()))
+
+
+@pytest.mark.parametrize("kind", BASES)
+class TestSeries:
+    X = np.array([-5.0, -3.1, -1.0, 0.3, 2.2, 3.9, 5.0, 7.0])
+
+    def test_slopes_are_derivatives_also_beyond_the_domain(self, kind):
+        f, step = series(kind), 1e-6
+        expected = (f(self.X + step) - f(self.X - step)) / (2 * step)
+        np.testing.assert_allclose(f.slope(self.X), expected, rtol=0.0, atol=1e-7)
+
+    def test_slopes_are_those_that_a_basis_has_without_its_own(self, kind):
+        basis, x = BASES[kind], np.array([0.0, 0.4, 2.5])
+        unit = np.eye(basis.size(6))
+        np.testing.assert_allclose(basis.slopes(x, unit), BasisSpec.slopes(basis, x, unit), atol=1e-4)
+        inside = x[1:]
+        np.testing.assert_allclose(
+            basis.slopes(inside, unit), BasisSpec.slopes(basis, inside, unit), atol=1e-8
+        )
+
+    def test_formulas_are_the_functions(self, kind):
+        f = series(kind)
+        assert isinstance(f.basis, Series)
+        texts, coefficients = needed(f.basis.formulas(np.array(f.coefficients)))
+        said = sum(c * Formula(text, ("u",))(u=self.X) for c, text in zip(coefficients, texts, strict=True))
+        np.testing.assert_allclose(said, f(self.X), rtol=0.0, atol=1e-12)
+
+    @pytest.mark.parametrize("letters", ["NL", "LN"])
+    def test_without_noise_the_blocks_are_found(self, kind, letters, tmp_path):
+        u, f = gaussian(), series(kind, 3, 1)
+        y = LINEAR.filter(f(u)) if letters == "NL" else f(LINEAR.filter(u))
+        block = hi.SeriesBlock(basis=BASES[kind], q=3)
+        blocks = (
+            [block, hi.LinearBlock(nb=2, nf=1)] if letters == "NL" else [hi.LinearBlock(nb=2, nf=1), block]
+        )
+        spec = hi.PredictionError(blocks=blocks, start="rest")
+        model = model_of(hi.fit(spec, Record(u, y)))
+        np.testing.assert_allclose(model.simulate(u), y, rtol=0.0, atol=1e-9 * float(np.std(y)))
+        hi.write_model(model, tmp_path / "model.json")
+        assert hi.load_model(tmp_path / "model.json").chain == model.chain
+        names: dict[str, Any] = {}
+        exec(hi.convert(model, "python"), names)
+        np.testing.assert_allclose(names["response"](u), model.simulate(u), rtol=0.0, atol=1e-11)
+        # Polynomials have no unit of their own, and the linear block the gain 1 before them.
+        assert (spec.normalisations() is None) == (letters == "LN" and kind != "legendre")
+        x = model.chain.signals(u)[0 if letters == "NL" else 1]
+        basis = model.chain.static[0].basis
+        assert isinstance(basis, Series)
+        assert (basis.low, basis.high) == pytest.approx((np.min(x), np.max(x)), rel=1e-12)
+
+
+def test_legendre_polynomials_are_moved_with_their_interval():
+    f, x = series("legendre"), TestSeries.X
+    for factor, offset in ((2.0, 0.0), (-0.5, 1.5)):
+        np.testing.assert_allclose(f.moved(factor, offset)(factor * x + offset), f(x), rtol=1e-10)
+
+
+def test_a_series_of_many_powers_is_not_converted():
+    model = FittedModel(BlockChain((series("hermite", 30),)))
+    with pytest.raises(ConfigError, match="'hermite' with q = 30 has no formula that is accurate"):
+        hi.convert(model, "matlab")

@@ -149,7 +149,7 @@ def changed(path, value):
 N, L = ("blocks", 0), ("blocks", 1)
 KINDS = (
     "transfer_function, continuous_transfer_function, polynomial, piecewise_linear, cubic_spline, "
-    "saturation, dead_zone, expansion"
+    "saturation, dead_zone, expansion, series"
 )
 SPLINE = {"name": "N", "kind": "cubic_spline", "knots": [0, 2, 1], "coefficients": [1, 2, 3, 4, 5]}
 WRONG = [

@@ -19,6 +19,9 @@ from hident.estimators.nonparametric.fourier import trigonometric_series, trigon
 # exp(-_HELD) is held back, and released as the polynomials grow beyond exp(_RELEASED).
 _HELD = 600.0
 _RELEASED = 200.0
+_STEP = float(np.finfo(float).eps) ** (1.0 / 3.0)
+# The powers of a polynomial of a higher degree cancel each other.
+_HIGHEST_DEGREE = 12
 
 
 class BasisSpec(Component):
@@ -43,6 +46,28 @@ class BasisSpec(Component):
     def products(self, x: Array, points: Array, q: int) -> Array:
         """Sums over i of phi_i(x_m) phi_i(points_m): both (M,), and so is the answer."""
         raise NotImplementedError
+
+    def slopes(self, x: Array, coefficients: Array) -> Array:
+        """Sums over i of c_i phi_i'(x), as :meth:`series`; by default difference quotients, to ten digits.
+
+        Points lie in the domain, and so do those of the quotients, which have half the digits at its ends.
+        """
+        low, high = self.domain()
+        step = _STEP * np.maximum(np.abs(x), 1.0)
+        below, above = np.maximum(x - step, low), np.minimum(x + step, high)
+        rise = self.series(above, coefficients) - self.series(below, coefficients)
+        return np.asarray(rise / (above - below))
+
+    def moved(self, coefficients: Array, factor: float, offset: float) -> tuple[BasisSpec, Array]:
+        """Basis and coefficients (size(q),) of the same function of z = factor x + offset.
+
+        ValueError, as by default, where the functions hold in the unit of x alone.
+        """
+        raise ValueError(f"the {self.kind} basis holds in the unit of its argument")
+
+    def formulas(self, q: int) -> tuple[str, ...] | None:
+        """The functions up to the cutoff level as formulas in u; None if there are none that are accurate."""
+        return None
 
 
 class _WithInterval(BasisSpec):
@@ -96,6 +121,20 @@ class Trigonometric(_WithInterval):
         products: Array = trigonometric_series(self._angles(x - points), harmonics)[0]
         return products
 
+    def slopes(self, x: Array, coefficients: Array) -> Array:
+        omega = 2.0 * math.pi / self._length * np.arange(1, coefficients.shape[1] // 2 + 1)
+        turned = np.zeros_like(coefficients)
+        turned[:, 1::2], turned[:, 2::2] = omega * coefficients[:, 2::2], -omega * coefficients[:, 1::2]
+        return self.series(x, turned)
+
+    def formulas(self, q: int) -> tuple[str, ...]:
+        first, size = 1.0 / math.sqrt(self._length), math.sqrt(2.0 / self._length)
+        found = [f"{first!r}"]
+        for k in range(1, q + 1):
+            omega = 2.0 * math.pi * k / self._length
+            found += [f"{size!r}*cos({omega!r}*u)", f"{size!r}*sin({omega!r}*u)"]
+        return tuple(found)
+
     def _angles(self, x: Array) -> Array:
         turns = x / self._length
         turns -= np.floor(turns + 0.5)
@@ -145,6 +184,14 @@ class _ByRecurrence(BasisSpec):
         return values
 
 
+def _horner(coefficients: Array, argument: str) -> str:
+    """The formula of a polynomial by rising power."""
+    text = repr(float(coefficients[-1]))
+    for c in coefficients[-2::-1].tolist():
+        text = f"{c!r} + {argument}*({text})"
+    return text
+
+
 @component("basis", "legendre")
 class Legendre(_ByRecurrence, _WithInterval):
     """Legendre polynomials on [low, high], orthonormal.
@@ -165,6 +212,30 @@ class Legendre(_ByRecurrence, _WithInterval):
         slope = 2.0 / self._length
         offset = -sum(self.interval) / self._length
         return step * slope, step * offset, back
+
+    def slopes(self, x: Array, coefficients: Array) -> Array:
+        # P_k' = (2k-1) P_{k-1} + (2k-5) P_{k-3} + ..., normalised
+        size = coefficients.shape[1]
+        matrix = np.zeros((size, size))
+        for k in range(size):
+            below = np.arange(k - 1, -1, -2)
+            matrix[k, below] = 2.0 / self._length * np.sqrt((2 * k + 1) * (2 * below + 1))
+        return self.series(x, coefficients @ matrix)
+
+    def moved(self, coefficients: Array, factor: float, offset: float) -> tuple[BasisSpec, Array]:
+        low, high = sorted(factor * end + offset for end in self.interval)
+        signs = np.sign(factor) ** np.arange(len(coefficients))
+        return Legendre(interval=(low, high)), coefficients * signs * math.sqrt(abs(factor))
+
+    def formulas(self, q: int) -> tuple[str, ...] | None:
+        if q > _HIGHEST_DEGREE:
+            return None
+        argument = f"({2.0 / self._length!r}*u - {sum(self.interval) / self._length!r})"
+        sizes = np.sqrt((2 * np.arange(q + 1) + 1) / self._length)
+        return tuple(
+            _horner(np.polynomial.legendre.leg2poly(size * np.eye(k + 1)[k]), argument)
+            for k, size in enumerate(sizes)
+        )
 
 
 @component("basis", "laguerre")
@@ -187,6 +258,17 @@ class Laguerre(_ByRecurrence):
         # (k+1) L_{k+1} = (2k+1-x) L_k - k L_{k-1}
         return -1.0 / (k + 1), (2 * k + 1) / (k + 1), k / (k + 1)
 
+    def slopes(self, x: Array, coefficients: Array) -> Array:
+        # l_k' = -l_k/2 - l_{k-1} - ... - l_0
+        size = coefficients.shape[1]
+        return self.series(x, -coefficients @ (np.tri(size, k=-1) + 0.5 * np.eye(size)))
+
+    def formulas(self, q: int) -> tuple[str, ...] | None:
+        if q > _HIGHEST_DEGREE:
+            return None
+        units = (np.eye(k + 1)[k] for k in range(q + 1))
+        return tuple(f"exp(-0.5*u)*({_horner(np.polynomial.laguerre.lag2poly(unit), 'u')})" for unit in units)
+
 
 @component("basis", "hermite")
 class Hermite(_ByRecurrence):
@@ -207,3 +289,21 @@ class Hermite(_ByRecurrence):
     def _recurrence(self, k: int) -> tuple[float, float, float]:
         # H_{k+1} = 2x H_k - 2k H_{k-1}, normalised
         return math.sqrt(2.0 / (k + 1)), 0.0, math.sqrt(k / (k + 1))
+
+    def slopes(self, x: Array, coefficients: Array) -> Array:
+        # h_k' = sqrt(k/2) h_{k-1} - sqrt((k+1)/2) h_{k+1}
+        roots = np.sqrt(0.5 * np.arange(1, coefficients.shape[1] + 1))
+        turned = np.zeros((len(coefficients), coefficients.shape[1] + 1))
+        turned[:, : coefficients.shape[1] - 1] = coefficients[:, 1:] * roots[:-1]
+        turned[:, 1:] -= coefficients * roots
+        return self.series(x, turned)
+
+    def formulas(self, q: int) -> tuple[str, ...] | None:
+        if q > _HIGHEST_DEGREE:
+            return None
+        found = []
+        for k in range(q + 1):
+            size = 1.0 / math.sqrt(2.0**k * math.factorial(k) * math.sqrt(math.pi))
+            polynomial = _horner(np.polynomial.hermite.herm2poly(size * np.eye(k + 1)[k]), "u")
+            found.append(f"exp(-0.5*u**2)*({polynomial})")
+        return tuple(found)

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from hident.arrays import Array
 from hident.block_chain import Block
 from hident.config.spec import Component, Count, Flag, Interval, NonEmpty, Of, Real, component
+from hident.estimators.nonparametric.bases import BasisSpec
 from hident.estimators.prediction_error.continuous_structure import ContinuousStructure
 from hident.estimators.prediction_error.parameters import LinearStructure
 from hident.estimators.prediction_error.structure import StaticKind
@@ -27,7 +28,7 @@ from hident.static_functions import (
 )
 from hident.systems.base import NonlinearitySpec, OfStatic
 from hident.systems.continuous import ContinuousSpec
-from hident.systems.function_basis import Functions
+from hident.systems.function_basis import Functions, Series
 from hident.systems.linear import DiscreteSpec, LinearSpec
 
 _POINTS = 2001
@@ -217,6 +218,10 @@ class StaticSpec(BlockSpec):
         """Whether its range does not follow the signal."""
         return self.range is not None
 
+    def has_unit(self) -> bool:
+        """Whether a factor in its argument is no matter of its coefficients, but a property of the data."""
+        return False
+
     def spreads(self) -> tuple[float, ...]:
         """Standard deviations that its input is tried with at a start, where a block before can give any."""
         return (1.0,)
@@ -334,11 +339,48 @@ class ExpansionBlock(StaticSpec):
     def is_fixed(self) -> bool:
         return True
 
+    def has_unit(self) -> bool:
+        return not Functions(self.basis, -1.0, 1.0).is_free_of_scale()
+
     def spreads(self) -> tuple[float, ...]:
-        return (1.0,) if Functions(self.basis, -1.0, 1.0).is_free_of_scale() else _SPREADS
+        return _SPREADS if self.has_unit() else (1.0,)
 
     def _basis(self, x: Array, low: float, high: float) -> Basis:
         return Functions(self.basis, low, high)
+
+
+@component("block", "series")
+class SeriesBlock(StaticSpec):
+    """Series of orthonormal functions up to a cutoff level, with lines beyond their domain.
+
+    Examples
+    --------
+    >>> block = SeriesBlock(basis={"kind": "trigonometric", "interval": [0, 4]}, q=2)
+    >>> block.basis_for(np.zeros(1), -1.0, 1.0).size
+    5
+    """
+
+    basis: Annotated[BasisSpec, Of("basis")]
+    """The orthonormal functions, on a domain in the unit of the block's input."""
+    q: Annotated[Count, Field(ge=1, le=500)]
+    """Cutoff level; the trigonometric basis has 2q + 1 functions up to it, the others q + 1."""
+    range: Interval | None = None
+    """Interval over which the nearest function to ``start`` is taken."""
+
+    def is_fixed(self) -> bool:
+        return True
+
+    def has_unit(self) -> bool:
+        return not Series(self.basis, self.q, -1.0, 1.0).is_free_of_scale()
+
+    def spreads(self) -> tuple[float, ...]:
+        low, high = self.basis.domain()
+        # Nearly all of a signal lies within two and a half standard deviations.
+        size = 0.2 * (high - low) if np.isfinite(high - low) else 1.0
+        return tuple(size * spread for spread in (_SPREADS if self.has_unit() else _SPREADS[:4]))
+
+    def _basis(self, x: Array, low: float, high: float) -> Basis:
+        return Series(self.basis, self.q, low, high)
 
 
 class _WithCorners(StaticSpec):

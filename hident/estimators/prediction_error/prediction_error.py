@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator
 
+from hident.block_chain import Block, BlockChain
 from hident.config.spec import Count, NonEmpty, Of, Spec, component
 from hident.errors import EstimationError
 from hident.estimators.base import CONTINUOUS, DISCRETE, AtOneInterval, require_usable, unknown_past
@@ -22,11 +23,14 @@ from hident.estimators.prediction_error.block_specs import (
 )
 from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain
 from hident.estimators.prediction_error.criterion import Data
+from hident.estimators.prediction_error.parameters import Parameters
 from hident.estimators.prediction_error.standard_errors import names, normal_form, standard_errors, values
 from hident.estimators.prediction_error.structure import ChainStructure
 from hident.fitted_model import FittedModel, NoiseModel
 from hident.records import Estimate, Record
 from hident.sampled_blocks import SampledTransferFunction
+from hident.static_functions import StaticFunction
+from hident.systems.function_basis import Functions, Series
 
 _MOST_BLOCKS = 9
 _SUMMARY = ("mse", "iterations", "starts", "finalists", "agreeing")
@@ -111,7 +115,7 @@ class PredictionError(AtOneInterval):
         if first is None:
             return 0
         block = self.blocks[first]
-        return first if isinstance(block, StaticSpec) and len(block.spreads()) > 1 else 0
+        return first if isinstance(block, StaticSpec) and block.has_unit() else 0
 
     def _places(self) -> dict[int, str]:
         """What the names of each block's values begin with: nothing where there is one of its sort."""
@@ -217,7 +221,7 @@ class PredictionError(AtOneInterval):
         summary = (mse, fit.iterations, fit.starts, fit.finalists, fit.agreeing)
         numbers |= dict(zip(_SUMMARY, map(float, summary), strict=True))
         model = FittedModel(
-            chain=replace(form.chain, dt=record.dt),
+            chain=replace(_seen(form, point.data), dt=record.dt),
             start=self.start,
             noise=NoiseModel(point.noise.ar, point.noise.ma, mse),
             errors=errors,
@@ -239,6 +243,21 @@ class PredictionError(AtOneInterval):
             values={name: float(numbers[name]) for name in self.names()},
             details={"status": fit.status},
         )
+
+
+def _seen(form: Parameters, data: Data) -> BlockChain:
+    """The chain, in which given functions say between which inputs they were fitted."""
+    blocks: list[Block] = []
+    x = data.u
+    for i, block in enumerate(form.chain.blocks):
+        if isinstance(block, StaticFunction) and isinstance(block.basis, Functions | Series):
+            met = x[data.counted]
+            seen = block.basis.seen(float(np.min(met)), float(np.max(met)))
+            blocks.append(block if i in form.held else replace(block, basis=seen))
+        else:
+            blocks.append(block)
+        x = data.through(block, x)
+    return replace(form.chain, blocks=tuple(blocks))
 
 
 def _about(fit: ChainFit) -> Mapping[str, Any]:
