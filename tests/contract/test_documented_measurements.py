@@ -109,7 +109,7 @@ def test_the_code_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_chain_of_blocks_is_a_configuration(folder: Path) -> None:
-    [whole] = [text for text in blocks(PAGE, "yaml") if text.startswith("version")]
+    whole, *_ = [text for text in blocks(PAGE, "yaml") if text.startswith("version")]
     plan = planned(folder, whole)
     values = {series.metric: series.values[0] for series in run(plan).series}
     assert values["linear a_1"] == pytest.approx(0.8, abs=5 * values["linear se_a_1"])
@@ -124,7 +124,7 @@ def test_the_chain_of_blocks_is_a_configuration(folder: Path) -> None:
 
 @pytest.mark.parametrize("part", ["kind: candidates", "kind: bands"])
 def test_what_is_added_to_the_configuration_is_drawn(folder: Path, part: str) -> None:
-    [whole] = [text for text in blocks(PAGE, "yaml") if text.startswith("version")]
+    whole, *_ = [text for text in blocks(PAGE, "yaml") if text.startswith("version")]
     [added] = [text for text in blocks(PAGE, "yaml") if part in text]
     # PyYAML reads on as true.
     sections = [yaml.safe_load(re.sub(r"\bon: ", '"on": ', text)) for text in (whole, added)]
@@ -137,13 +137,29 @@ def test_what_is_added_to_the_configuration_is_drawn(folder: Path, part: str) ->
     assert bool([*out.rglob("bands.png")]) == (part == "kind: bands")
 
 
+def test_other_blocks_are_found_as_the_page_says(folder: Path) -> None:
+    _, continuous, own = [text for text in blocks(PAGE, "yaml") if text.startswith("version")]
+    found = {
+        series.metric: np.asarray(series.values)
+        for series in run(planned(folder, continuous, trials=3)).series
+    }
+    assert np.all(np.abs(found["error a_1"]) < 0.1)
+    assert set(found) >= {"covered a_3", "covered b_1"}
+    own_plan = planned(folder, own, trials=3)
+    responses = {series.unit.name: np.asarray(series.values) for series in run(own_plan).series}
+    # Who knows the form needs four numbers, and else it takes twelve that cannot quite be it.
+    assert np.all(responses["form"] < 1.5)
+    assert np.all(responses["Hermite functions"] < 10.0)
+
+
 def test_what_stands_in_the_tables_is_there() -> None:
     plugins.load()
     rows = dict(re.findall(r"^\| `(\w+)` \| (L|N-L|L-N|L-N-L|N-L-N) \|", TEXT, re.MULTILINE))
     assert rows == dict(STRUCTURES)
-    named = re.search(r"Static ones\s+are (.*?); beyond", TEXT, re.DOTALL)
+    named = re.search(r"Static ones\s+are (.*?); beyond.*?lines\. (.*?) are sums", TEXT, re.DOTALL)
     assert named
-    assert {*re.findall(r"`(\w+)`", named[1])} | {"linear", "continuous"} == {*components("block")}
+    static = {*re.findall(r"`(\w+)`", f"{named[1]} {named[2]}")}
+    assert static | {"linear", "continuous"} == {*components("block")}
     assert {"rmse", "nrmse", "r_squared", "mae", "fit_index"} < {*components("metric")}
     assert len(ResidualTest.model_fields["of"].annotation.__args__) == 5  # type: ignore[union-attr]
 
