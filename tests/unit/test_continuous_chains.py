@@ -213,6 +213,39 @@ class TestChen:
         np.testing.assert_allclose(half, found.response(u, 0.1), rtol=0.0, atol=1e-8)
 
 
+class TestBetweenSamples:
+    """A Wiener-Hammerstein system whose signals move between samples, as those of a process do."""
+
+    SYSTEM = hi.WienerHammerstein(
+        input_linear=hi.Continuous(a=[0.8]),
+        nonlinearity=hi.Polynomial(coefficients=[0, 1, 0.3, -0.1]),
+        output_linear=hi.Continuous(a=[1.0, 0.5], b=[1, 0.3]),
+    )
+
+    def values(self, dt, **second):
+        record = hi.simulate(self.SYSTEM, hi.Multistep(switching_time=1, std=1), round(240 / dt), dt=dt)
+        blocks = [
+            hi.ContinuousBlock(n=1),
+            hi.PolynomialBlock(degree=3),
+            hi.ContinuousBlock(n=2, m=1, **second),
+        ]
+        found = hi.fit(hi.PredictionError(blocks=blocks, start="rest"), record).values
+        return found, float(np.sqrt(found["mse"]) / np.std(record.y))
+
+    def test_straight_lines_are_off_by_the_square_of_the_interval(self):
+        _, coarse = self.values(0.1)
+        found, fine = self.values(0.05)
+        assert coarse < 1e-3
+        assert 3.0 < coarse / fine < 6.0
+        assert found["l2_a_1"] == pytest.approx(1.0, rel=1e-3)
+        assert found["l2_a_2"] == pytest.approx(0.5, rel=1e-3)
+
+    def test_held_inputs_are_late_by_half_a_sample(self):
+        found, left = self.values(0.1, intersample="held")
+        assert left > 10.0 * self.values(0.1)[1]
+        assert abs(found["l2_a_2"] / 0.5 - 1.0) > 0.05
+
+
 class TestGivenBlocks:
     SPEC = {"n": 2, "m": 1, "start": hi.Continuous(a=[1.2, 0.8], b=[1.0 / 3.0, 0.5])}
 
