@@ -326,6 +326,31 @@ EXAMPLES = [
         },
         system="wiener",
     ),
+    Example(
+        {
+            "kind": "prediction_error",
+            "blocks": [
+                {"kind": "expansion", "basis": ["identity", {"kind": "power", "exponent": 2}]},
+                {"kind": "continuous", "n": 2, "m": 1, "delay": 0.3},
+            ],
+            "start": "rest",
+            "n_init": 80,
+        },
+        **MOVING,
+        excitation=STEPS["excitation"],
+    ),
+    Example(
+        {
+            "kind": "prediction_error",
+            "blocks": [
+                {"kind": "continuous", "n": 2, "m": 1, "delay": 0.3},
+                {"kind": "series", "basis": {"kind": "legendre", "interval": [-1.5, 1.5]}, "q": 3},
+            ],
+            "n_init": 20,
+        },
+        **MOVING,
+        **STEPS,
+    ),
 ]
 
 
