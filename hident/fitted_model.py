@@ -14,6 +14,9 @@ from hident.numerics.parts import in_each
 from hident.records import Record
 from hident.static_functions import StaticFunction
 
+# Sampling intervals this close, relative to their size, are one.
+_SAME = 1e-3
+
 
 @dataclass(frozen=True)
 class NoiseModel:
@@ -67,7 +70,15 @@ class FittedModel:
         """
         if not isinstance(record, Record):
             return self.chain.response(record, self.start)
-        return in_each(record.experiments, lambda u: self.chain.response(u, self.start), record.u)
+        chain = self._for(record)
+        return in_each(record.experiments, lambda u: chain.response(u, self.start), record.u)
+
+    def _for(self, record: Record) -> BlockChain:
+        """The chain for a record's samples: continuous blocks have some at any interval."""
+        dt, own = record.dt, self.chain.dt
+        if dt is None or own is None or not self.chain.is_continuous or abs(dt - own) <= _SAME * own:
+            return self.chain
+        return self.chain.every(dt)
 
     def every(self, dt: float) -> FittedModel:
         """The model for samples every ``dt``, without its noise, which is one of its own samples.
@@ -84,7 +95,8 @@ class FittedModel:
         return tuple(
             np.concatenate(pieces)
             for pieces in zip(
-                *(self.chain.signals(record.u[part], self.start) for part in record.experiments), strict=True
+                *(self._for(record).signals(record.u[part], self.start) for part in record.experiments),
+                strict=True,
             )
         )
 
@@ -101,10 +113,17 @@ class FittedModel:
 
         What the noise model makes of the past differences between output and simulation is added to the
         simulation; without a noise model the two are one.
+
+        Raises
+        ------
+        ValueError
+            If continuous blocks have samples at the record's interval, and the noise has none.
         """
         simulated = self.simulate(record)
         if not (self.noise.ar or self.noise.ma):
             return simulated
+        if self._for(record) is not self.chain:
+            raise ValueError(f"the noise model is one of samples every {self.chain.dt:g}, not {record.dt:g}")
         return simulated + in_each(
             record.experiments, lambda v: self._foreseen(v, steps), record.y - simulated
         )

@@ -27,6 +27,7 @@ Intersample = Literal["held", "linear"]
 """What a signal is between its samples: the last one, or a straight line to the next."""
 
 _STEP = 1e-30
+_LONGEST = 1_000_000
 # The static gain of the sampled block may be this far off, relative to it.
 _ACCURACY = 1e-5
 
@@ -60,6 +61,8 @@ class SampledTransferFunction(TransferFunction):
     intersample: Intersample = "held"
 
     def __post_init__(self) -> None:
+        if not self.continuous.delay <= _LONGEST * self.dt:
+            raise ValueError(f"the delay {self.continuous.delay:g} is longer than {_LONGEST} samples")
         if self.continuous.integrators:
             raise ValueError("a block with a pole at zero cannot be sampled here")
         lag, top, bottom = self._polynomials(np.asarray(self.continuous.b), np.asarray(self.continuous.a))

@@ -324,10 +324,22 @@ class TestRefusals:
 
     def test_a_record_without_sampling_interval(self):
         spec = hi.PredictionError(blocks=[hi.ContinuousBlock(n=1)])
-        with pytest.raises(EstimationError, match="needs the sampling interval 'dt' of the record"):
+        with pytest.raises(EstimationError, match="needs the sampling interval 'dt' of the data"):
             spec.fit(Record(steps(), steps(seed=1)))
         with pytest.raises(ValueError, match="needs the sampling interval 'dt' of the data"):
             spec.check(100, None)
+        with pytest.raises(ValueError, match="needs the sampling interval 'dt' of the data"):
+            spec.structure()
+
+    @pytest.mark.parametrize("delay", [{"delay": 20.0}, {"nk": 100}, {"delay": 1e15}])
+    def test_a_delay_as_long_as_the_record(self, delay):
+        spec = hi.PredictionError(blocks=[hi.ContinuousBlock(n=1, **delay)])
+        with pytest.raises(
+            EstimationError, match=r"the delay .* of block 1 is as long as a record of 100 sam"
+        ):
+            spec.fit(Record(steps(100), steps(100, 1), DT))
+        with pytest.raises(ValueError, match=r"samples every 0\.2"):
+            spec.check(100, DT)
 
 
 class TestOtherIntervals:
@@ -337,6 +349,18 @@ class TestOtherIntervals:
         expected = chain.response(u)
         np.testing.assert_allclose(chain.every(DT / 4).response(np.repeat(u, 4))[::4], expected, atol=1e-9)
         assert chain.every(DT) is chain
+
+    def test_a_record_says_at_which(self):
+        model, u = FittedModel(chain_of("NC"), start="rest"), np.repeat(steps(100), 2)
+        record = Record(u, u, DT / 2)
+        expected = model.chain.every(DT / 2).response(u)
+        np.testing.assert_array_equal(model.simulate(record), expected)
+        np.testing.assert_array_equal(model.signals(record)[-1], expected)
+        np.testing.assert_array_equal(model.predict(record), expected)
+        noisy = replace(model, noise=NoiseModel((0.5,)))
+        with pytest.raises(ValueError, match=r"the noise model is one of samples every 0\.2, not 0\.1"):
+            noisy.predict(record)
+        assert noisy.every(DT / 2).noise == NoiseModel()
 
     def test_one_with_a_discrete_block_has_not(self):
         with pytest.raises(ValueError, match="at its own interval only"):

@@ -120,6 +120,11 @@ def test_samples_that_come_too_fast_are_refused():
         SampledTransferFunction(CHEN, 1e-5)
 
 
+def test_a_delay_of_millions_of_samples_is_refused():
+    with pytest.raises(ValueError, match="is longer than 1000000 samples"):
+        SampledTransferFunction(replace(CHEN, delay=1e9), DT)
+
+
 def test_an_integrator_is_refused():
     with pytest.raises(ValueError, match="pole at zero"):
         SampledTransferFunction(ContinuousTransferFunction((1.0,), (), integrators=1), DT)

@@ -149,8 +149,21 @@ class PredictionError(AtOneInterval):
         return {len(self._places()): CONTINUOUS, 0: DISCRETE}.get(self._continuous(), {})
 
     def check(self, n: int, dt: float | None) -> None:
-        if self._continuous() and dt is None:
-            raise ValueError("a continuous block needs the sampling interval 'dt' of the data")
+        if why := self._unsuited(n, dt):
+            raise ValueError(why)
+
+    def _unsuited(self, samples: int, dt: float | None) -> str:
+        """Why records of so many samples every ``dt`` do not suit the continuous blocks; empty if they do."""
+        if not self._continuous():
+            return ""
+        if dt is None:
+            return "a continuous block needs the sampling interval 'dt' of the data"
+        for i, block in enumerate(self.blocks, start=1):
+            if isinstance(block, ContinuousBlock) and not block.delay_at(dt) < samples * dt:
+                delay = block.delay_at(dt)
+                record = f"a record of {samples} samples every {dt:g}"
+                return f"the delay {delay:g} of block {i} is as long as {record}"
+        return ""
 
     def normalisations(self) -> tuple[Normalisation, ...] | None:
         if any(block.held for block in self.blocks) or self._kept_gains():
@@ -173,8 +186,8 @@ class PredictionError(AtOneInterval):
                 f"{data.count} samples are left after n_init, and at least "
                 f"{self.fewest_samples() - self.n_init} are needed"
             )
-        if self._continuous() and record.dt is None:
-            raise EstimationError("a continuous block needs the sampling interval 'dt' of the record")
+        if why := self._unsuited(len(record), record.dt):
+            raise EstimationError(why)
         return fit_chain(
             self.structure(record.dt),
             data,
@@ -186,6 +199,8 @@ class PredictionError(AtOneInterval):
 
     def structure(self, dt: float | None = None) -> ChainStructure:
         """What is to be found, from samples every ``dt`` (None: discrete time)."""
+        if self._continuous() and dt is None:
+            raise ValueError("a continuous block needs the sampling interval 'dt' of the data")
         step = 1.0 if dt is None else dt
         blocks = tuple(self._sampled_blocks())
         given = {i: block.given(step) for i, block in enumerate(blocks)}
