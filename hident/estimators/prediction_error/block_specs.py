@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -11,7 +11,6 @@ from pydantic import Field, model_validator
 from hident.arrays import Array
 from hident.block_chain import Block
 from hident.config.spec import Component, Count, Flag, Interval, NonEmpty, Of, Real, component
-from hident.estimators.nonparametric.bases import BasisSpec
 from hident.estimators.prediction_error.continuous_structure import ContinuousStructure
 from hident.estimators.prediction_error.parameters import LinearStructure
 from hident.estimators.prediction_error.structure import StaticKind
@@ -360,7 +359,7 @@ class SeriesBlock(StaticSpec):
     5
     """
 
-    basis: Annotated[BasisSpec, Of("basis")]
+    basis: Annotated[Any, Of("basis")]
     """The orthonormal functions, on a domain in the unit of the block's input."""
     q: Annotated[Count, Field(ge=1, le=500)]
     """Cutoff level; the trigonometric basis has 2q + 1 functions up to it, the others q + 1."""
