@@ -3,6 +3,7 @@
 import numpy as np
 from hypothesis import strategies as st
 
+import hident as hi
 from hident.block_chain import BlockChain
 from hident.fitted_model import FittedModel, NoiseModel
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
@@ -15,8 +16,16 @@ from hident.static_functions import (
     Saturation,
     StaticFunction,
 )
+from hident.systems.function_basis import Functions, Series
 
 ORDERS = ("L", "N", "N-L", "L-N", "L-N-L", "N-L-N", "L-N-L-N-L", "N-N", "L-L")
+GIVEN = (
+    hi.Identity(),
+    hi.Abs(),
+    hi.Expression(expression="tanh(2*u)"),
+    hi.Saturation(low=-1, high=np.inf),
+    hi.Expression(expression="where(u > 0.5, 1, -u)"),
+)
 COEFFICIENTS = st.floats(-3.0, 3.0)
 
 
@@ -57,10 +66,17 @@ def increasing(draw, fewest, most):
 @st.composite
 def bases(draw):
     """A basis of any kind."""
-    kind = draw(st.sampled_from([Chebyshev, PiecewiseLinear, CubicSpline, Saturation, DeadZone]))
+    kind = draw(
+        st.sampled_from([Chebyshev, PiecewiseLinear, CubicSpline, Saturation, DeadZone, Functions, Series])
+    )
     if kind in (PiecewiseLinear, CubicSpline):
         return kind(draw(increasing(2, 7)))
     low, high = draw(increasing(2, 2))
+    if kind is Functions:
+        return Functions(tuple(draw(st.permutations(GIVEN))), low, high)
+    if kind is Series:
+        basis = draw(st.sampled_from([hi.Hermite(), hi.Legendre(interval=(low, high))]))
+        return Series(basis, draw(st.integers(0, 4)), low, high)
     return Chebyshev(draw(st.integers(0, 8)), low, high) if kind is Chebyshev else kind(low, high)
 
 
