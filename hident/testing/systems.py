@@ -45,6 +45,10 @@ class NonlinearityContract(Contract):
             backwards, self.component(_POINTS), rtol=1e-12, err_msg="a value depends on the points beside it"
         )
 
+    def names_its_break_points_in_increasing_order(self) -> None:
+        found = self.component.break_points()
+        must(all(a < b for a, b in pairwise(found)), f"the break points {found} do not increase")
+
     def is_what_its_formula_says(self) -> None:
         if (text := self.component.formula()) is not None:
             said = np.full(_POINTS.shape, Formula(text, ("u",))(u=_POINTS), dtype=float)
@@ -69,10 +73,6 @@ class NonlinearityContract(Contract):
             atol=1e-6 * size,
             err_msg="its slope is another",
         )
-
-    def names_its_break_points_in_increasing_order(self) -> None:
-        found = self.component.break_points()
-        must(all(a < b for a, b in pairwise(found)), f"the break points {found} do not increase")
 
 
 @dataclass(frozen=True)
