@@ -12,7 +12,7 @@ QUICK := brouri_nonlinearity brouri_order chen_example6 chen_table3 chen_text ch
 # Hundreds of processes start: without cached bytecode each takes a third longer.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup reproduce-all reproduce-part power test lint format arithmetics bench torture lock schema clean
+.PHONY: help setup reproduce-all reproduce-part power site ledger test lint format arithmetics bench torture lock schema clean
 .DEFAULT_GOAL := help
 
 help: ## Show the targets
@@ -52,6 +52,12 @@ power: $(VENV)/ready ## Run every alternative, and compare with results/power
 	@echo
 	@$(BIN)/hident compare out/power results/power --complete
 
+site: $(VENV)/ready ## Build the site of results/, and say where it is
+	@$(BIN)/hident report results
+
+ledger: site ## Write docs/ledger.svg anew, the picture in README.md
+	@cp site/ledger.svg docs/ledger.svg
+
 test: $(VENV)/ready ## Run the tests
 	@workers=$$($(BIN)/python -c 'from hident.engine.cores import usable_cores; print(usable_cores())') && \
 	  echo "testing all that is under tests/, on as many workers as cores are usable: $$workers" && \
@@ -85,5 +91,5 @@ lock: ## Resolve requirements.lock anew (needs uv)
 	  --no-header --no-emit-index-url --no-emit-find-links --quiet -o requirements.lock
 
 clean: ## Remove the environment, outputs and caches; results/ and stored trials stay
-	@rm -rf $(VENV) out build *.egg-info .mypy_cache .ruff_cache .hypothesis
+	@rm -rf $(VENV) out site .site-cache build *.egg-info .mypy_cache .ruff_cache .hypothesis
 	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

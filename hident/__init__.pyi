@@ -3,6 +3,7 @@
 from hident.api import compare as compare, examine as examine, fit as fit, list_components as list_components
 from hident.api import (
     power as power,
+    report as report,
     run as run,
     schema as schema,
     score as score,

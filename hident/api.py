@@ -575,6 +575,44 @@ def verify(
     )
 
 
+def report(
+    folders: str | Path | Sequence[str | Path] = "out",
+    out: str | Path = "site",
+    *,
+    experiments: str | Path = "experiments",
+    configs: str | Path = "configs",
+    docs: str | Path | None = None,
+) -> Path:
+    """Build a site of results, as ``hident report`` does; returns the page to open.
+
+    ``folders`` hold runs, or are those of one run. The site needs no network and no server. What is wrong
+    with a run stands on its page, and is warned of.
+
+    Raises
+    ------
+    NothingToCompare
+        If a folder holds no run.
+    ConfigError
+        If ``out`` holds files that are not those of a site.
+    StoreError
+        If it cannot be written.
+    """
+    from hident.reports.site.build import build
+
+    _load_components()
+    every = [folders] if isinstance(folders, str | Path) else folders
+    built = build(
+        [Path(folder) for folder in every],
+        Path(out),
+        experiments=Path(experiments),
+        configs=Path(configs),
+        docs=None if docs is None else Path(docs),
+    )
+    for fault in built.faults:
+        warnings.warn(fault, stacklevel=2)
+    return built.front
+
+
 def schema() -> dict[str, Any]:
     """The JSON Schema of experiments, with all known components.
 

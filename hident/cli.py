@@ -493,6 +493,46 @@ def verify(
 
 
 @app.command()
+def report(
+    folders: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="FOLDER",
+            help="Folders of results, or of one run; out by default, results if there is none.",
+        ),
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", help="Folder of the site.")] = Path("site"),
+    experiments: Annotated[Path, typer.Option(help="Folder of the papers' ledgers.")] = Path("experiments"),
+    configs: Annotated[Path, typer.Option(help="Folder of the configurations.")] = Path("configs"),
+    docs: Annotated[
+        Path | None, typer.Option(help="Folder of the handbook, if it is not to be hident's own.")
+    ] = None,
+    serving: Annotated[
+        bool,
+        typer.Option(
+            "--serve", help="Serve it to this machine, and build it again when results change, until Ctrl-C."
+        ),
+    ] = False,
+    port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Port of --serve: 8000 by default, 0 any free one.")
+    ] = None,
+    plugin: Plugins = None,
+) -> None:
+    """Build a site of results, to be opened in a browser.
+
+    The ledger, a page for each run and each component, and the handbook: files that need no network and no
+    server. What has not changed since the last time is not made again.
+    """
+    from hident.commands.reporting import report, serve_report
+
+    if port is not None and not serving:
+        raise ConfigError("--port is for --serve: without it, files are written and nothing is served")
+    folders = folders or [_OUT if _OUT.is_dir() else _RESULTS]
+    sources = (folders, out, experiments, configs, docs, plugin or ())
+    raise typer.Exit(serve_report(*sources, port) if serving else report(*sources))
+
+
+@app.command()
 def schema(
     as_markdown: Annotated[
         bool, typer.Option("--markdown", help="The same for readers: every key of every component.")
@@ -543,9 +583,12 @@ def export(
 @app.command()
 def show(
     files: Annotated[
-        list[Path],
-        typer.Argument(help="A configuration; a fitted model (.json); or files of samples (CSV, MAT, ...)."),
-    ],
+        list[Path] | None,
+        typer.Argument(
+            help="A folder of results; a configuration; a fitted model (.json); or files of samples (CSV, "
+            "MAT, ...). The runs of out and results by default."
+        ),
+    ] = None,
     input_: InputColumn = None,
     output: OutputColumn = None,
     dt: Dt = None,
@@ -586,15 +629,19 @@ def show(
         typer.Option(help="Folder to write to, of anything; for a trial by default out/CONFIG/trial-NUMBER."),
     ] = None,
 ) -> None:
-    """Show one trial, a measured record or a fitted model.
+    """Show a run, one trial, a measured record or a fitted model.
 
-    Of a trial, which is made again: its scores beside those of all stored trials, and as files the record,
-    the estimates (parameters, curves of the blocks), the scores and a figure. Of a record: signals, delay,
-    which nonlinearities the input can excite, and what is wrong with it. Of a model (.json): its blocks as
+    Of a run, such as out/mzyk_table1: its tables, each printed number beside ours with the trials behind it,
+    why some differ, and what makes it again. Of a folder of runs, or of none: the runs and their state. Of a
+    trial, which is made again: its scores beside those of all stored trials, and as files the record, the
+    estimates (parameters, curves of the blocks), the scores and a figure. Of a record: signals, delay, which
+    nonlinearities the input can excite, and what is wrong with it. Of a model (.json): its blocks as
     formulas. Figures of these with --out. The options from --trial on are for a configuration, those before
     for a record.
     """
     from hident.commands.plans import is_config, load_plans
+    from hident.commands.results_folders import is_results, list_runs
+    from hident.commands.shown_run import show_results
 
     of_record = {
         "input": input_,
@@ -621,6 +668,12 @@ def show(
         "seed": seed,
         "plugin": plugin,
     }
+    if not files or (len(files) == 1 and is_results(files[0])):
+        options = of_record | of_trial | {"out": out}
+        if strange := [f"--{name}" for name, value in options.items() if value is not None]:
+            named = f"{files[0]} is a folder of results" if files else "no file is named"
+            raise ConfigError(f"{named}, and {one_of(strange)} is for configurations and measured records")
+        raise typer.Exit(show_results(files[0], _RESULTS) if files else list_runs([_OUT, _RESULTS]))
     config = len(files) == 1 and is_config(files[0])
     if strange := [
         f"--{name}" for name, value in (of_record if config else of_trial).items() if value is not None

@@ -97,6 +97,11 @@ def _load_file(path: Path) -> None:
         raise
 
 
+def is_from_file(module: str) -> bool:
+    """Whether a module is that of a plugin file, by its name, and no installed one."""
+    return module.startswith(_PACKAGE)
+
+
 def package_of(folder: Path) -> str:
     """The name of the package that a folder of plugin files serves as."""
     name = f"{_PACKAGE}{hashlib.sha256(str(folder).encode()).hexdigest()[:8]}"

@@ -21,7 +21,7 @@ def markdown(model: type[Spec]) -> str:
     for plural, family in PLURALS.items():
         lines += ["", f"## {plural}"]
         for kind, cls in components(family).items():
-            lines += ["", f"### {kind}", "", *_about(cls)]
+            lines += ["", f"### {kind}", "", *about(cls)]
     return "\n".join(lines) + "\n"
 
 
@@ -30,8 +30,8 @@ def _contents() -> Iterator[str]:
         yield f"- [{plural}](#{plural}): {', '.join(f'`{kind}`' for kind in components(family))}"
 
 
-def _about(cls: type[Component]) -> Iterator[str]:
-    yield _plain(own_docstring(cls))
+def about(cls: type[Component]) -> Iterator[str]:
+    yield plain(own_docstring(cls))
     if cls.source:
         yield ""
         yield f"Source: {cls.source}."
@@ -44,12 +44,20 @@ def _table(spec: type[Spec]) -> Iterator[str]:
     yield f"| {' | '.join(_HEADER)} |"
     yield "| --- | --- | --- | --- |"
     for path, holds, default, meaning in fields(spec):
-        cells = (f"`{path}`", holds, default, _plain(meaning))
+        cells = (f"`{path}`", holds, default, plain(meaning))
         escaped = (" ".join(cell.replace("|", r"\|").split()) for cell in cells)
         yield f"| {' | '.join(escaped)} |"
 
 
-def _plain(text: str) -> str:
-    """A docstring's text as Markdown: code stands between single backticks there, and a star is a star."""
-    parts = text.replace("``", "`").split("`")
-    return "`".join(part if i % 2 else part.replace("*", r"\*") for i, part in enumerate(parts))
+def plain(text: str) -> str:
+    """A docstring's text as Markdown: code stands between single backticks there, and a star is a star.
+
+    An indented paragraph, such as an equation, is a block of its own there, and stays as it is.
+    """
+
+    def words(paragraph: str) -> str:
+        parts = paragraph.replace("``", "`").split("`")
+        return "`".join(part if i % 2 else part.replace("*", r"\*") for i, part in enumerate(parts))
+
+    paragraphs = text.split("\n\n")
+    return "\n\n".join(p if p.startswith("    ") else words(p) for p in paragraphs)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from hident.config.spec import canonical
 from hident.config.suggest import one_of
@@ -16,12 +15,11 @@ from hident.engine.experiment import load
 from hident.engine.run_files import MUTATIONS, NUMBERS, POWER, RUN, VERDICTS
 from hident.errors import ConfigError, NothingToCompare
 from hident.ledger.joint import combined_p
+from hident.ledger.judged import COUNTED, as_number, verdict_rows
 from hident.ledger.power import VerdictPower, is_of
 from hident.ledger.published import PUBLISHED, Key, Reason, read_published, read_reasons
-from hident.ledger.verdicts import COLUMNS, LEVEL, Word
+from hident.ledger.verdicts import LEVEL
 from hident.run_folder import RunFolder
-
-_COUNTED = ("", "multiplicity")
 
 
 @dataclass(frozen=True)
@@ -95,15 +93,15 @@ def verify(
     used: dict[tuple[str, int], dict[tuple[str, Key], str]] = {}
     names: list[str] = []
     for run in found:
-        config, paper, resolved = _origin(run)
+        of_run = verdicts_in(run, results or folder)
+        config, paper = of_run.config, of_run.paper
         names.append(config)
         reasons = read_reasons(experiments / paper)
         printed = read_published(experiments / paper)
-        rows = _verdicts(run)
-        power, said = _power(results or folder, config, resolved, rows)
-        said += [] if configs is None else _outdated(configs / f"{config}.yaml", resolved)
-        tables += _tables(config, rows, power)
-        for row in rows:
+        said = [*of_run.stale]
+        said += [] if configs is None else _outdated(configs / f"{config}.yaml", of_run.resolved)
+        tables += of_run.tables
+        for row in of_run.rows:
             key = (row["table"], row["row"], row["quantity"])
             judged.setdefault(paper, set()).add(key)
             if key not in printed or printed[key].printed != row["printed"]:
@@ -111,7 +109,7 @@ def verify(
                     f"{' / '.join(key)}: {row['printed']} is not what is printed: hident run {config}"
                 )
             covering = _covering(reasons, config, key)
-            counts = row["mark"] in _COUNTED
+            counts = row["mark"] in COUNTED
             if covering is not None and (counts or row["verdict"] == "differs"):
                 words = used.setdefault((paper, covering), {})
                 # Beside several of our numbers one that differs is enough.
@@ -137,6 +135,35 @@ def verify(
     )
 
 
+@dataclass(frozen=True)
+class RunVerdicts:
+    """The verdicts of one run."""
+
+    config: str
+    paper: str
+    resolved: dict[str, Any]
+    rows: tuple[dict[str, str], ...]
+    """The rows of verdicts.csv."""
+    power: VerdictPower | None
+    """What is accepted of its alternatives; None if there are none, or they cannot be used."""
+    tables: tuple[TableState, ...]
+    stale: tuple[str, ...]
+    """What is wrong with what is accepted of its alternatives."""
+
+
+def verdicts_in(folder: Path, results: Path) -> RunVerdicts:
+    """The verdicts of the run in ``folder``, and what ``results`` holds of its alternatives.
+
+    ConfigError if the verdicts cannot be read, or are not as the run wrote them.
+    """
+    config, paper, resolved = _origin(folder)
+    rows = _verdicts(folder)
+    power, stale = _power(results, config, resolved, rows)
+    return RunVerdicts(
+        config, paper, resolved, tuple(rows), power, tuple(_tables(config, rows, power)), tuple(stale)
+    )
+
+
 def _outdated(path: Path, resolved: dict[str, Any]) -> list[str]:
     """What is wrong with a run whose configuration is not that of a file."""
     if not path.exists():
@@ -156,12 +183,22 @@ def _of_what(words: Iterable[str]) -> str:
     return f" (it covers others, too: {one_of(others)}; name the rows that differ)" if others else ""
 
 
+def table_states(folder: Path, results: Path) -> list[TableState]:
+    """The state of each table that a run was held against; ``results`` holds what is known of alternatives.
+
+    ConfigError if its files cannot be read.
+    """
+    config, _, resolved = _origin(folder)
+    rows = verdict_rows(folder / VERDICTS)
+    return _tables(config, rows, _power(results, config, resolved, rows)[0])
+
+
 def _tables(config: str, rows: Sequence[dict[str, str]], power: VerdictPower | None) -> list[TableState]:
     found = []
     for table in dict.fromkeys(row["table"] for row in rows):
         of_table = [row for row in rows if row["table"] == table]
-        counted = [row for row in of_table if row["mark"] in _COUNTED]
-        groups = {row["group"]: _number(row["joint_p"]) for row in of_table}
+        counted = [row for row in of_table if row["mark"] in COUNTED]
+        groups = {row["group"]: as_number(row["joint_p"]) for row in of_table}
         rejected, tried = power.score(table) if power else (0, 0)
         survivors = [one.alternative for one in power.of_table(table) if not one.rejected] if power else []
         found.append(
@@ -174,7 +211,7 @@ def _tables(config: str, rows: Sequence[dict[str, str]], power: VerdictPower | N
                 rejected,
                 tried,
                 tuple(survivors),
-                sum(row["verdict"] == "agrees" and _number(row["width"]) > 1.0 for row in counted),
+                sum(row["verdict"] == "agrees" and as_number(row["width"]) > 1.0 for row in counted),
             )
         )
     return found
@@ -208,14 +245,6 @@ def _power(
     return found, list(dict.fromkeys(said))
 
 
-def _number(text: str) -> float:
-    """A number of verdicts.csv; nan if it is none, as where there is none."""
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
-
-
 def _covering(reasons: tuple[Reason, ...], config: str, key: Key) -> int | None:
     return next((i for i, reason in enumerate(reasons) if reason.covers(config, key)), None)
 
@@ -243,18 +272,4 @@ def _verdicts(folder: Path) -> list[dict[str, str]]:
     for name in RunFolder(folder).altered():
         if name in (RUN, VERDICTS):
             raise ConfigError(f"{folder / name} was altered since the run: run the configuration again")
-    path = folder / VERDICTS
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path} cannot be read ({error}): run the configuration again") from None
-    if not rows:
-        raise ConfigError(f"{path} holds no verdict: run the configuration again")
-    if any(row.get(name) is None for row in rows for name in COLUMNS):
-        raise ConfigError(f"{path} lacks columns: run the configuration again")
-    allowed = get_args(Word)
-    if unknown := [row["verdict"] for row in rows if row["verdict"] not in allowed]:
-        said = f"'{unknown[0]}' (allowed: {one_of(allowed)})"
-        raise ConfigError(f"{path} holds the verdict {said}: run the configuration again")
-    return rows
+    return verdict_rows(folder / VERDICTS)

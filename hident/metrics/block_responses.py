@@ -176,6 +176,8 @@ def _sampled(block: Block, step: float) -> TransferFunction:
 class ImpulseResponseError(_OfBlocks):
     """Percent error of the linear block's impulse response, as samples of a held input see it.
 
+        100 (sum_k (g_est(k) - g(k))^2 / sum_k g(k)^2)^(1/2)
+
     The root of the summed squared error in percent of that of the true one. A continuous block is taken by
     its response to a pulse of the length ``step``; a delay that is chosen is a whole number of samples.
     Infinite for an unstable estimate.
@@ -210,6 +212,8 @@ class ImpulseResponseError(_OfBlocks):
 @component("metric", "frequency_response_error")
 class FrequencyResponseError(_OfBlocks):
     """Percent error of the linear block's complex gain over a band of frequencies at equal ratios.
+
+        100 (sum_w |G_est(jw) - G(jw)|^2 / sum_w |G(jw)|^2)^(1/2)
 
     The root mean square error in percent of that of the true one. Two continuous blocks are compared as they
     are; where one is discrete, the other is sampled with held inputs, and a delay that is chosen is a whole

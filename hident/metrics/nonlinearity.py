@@ -93,6 +93,8 @@ class _OnInterval(Comparing):
 class IntegratedSquaredError(_OnInterval):
     """Integrated squared error of the nonlinearity; its mean over trials is the MISE.
 
+        the integral over the interval of (f_est(u) - f(u))^2 du
+
     ``at: grid`` integrates over the interval, piece by piece between the characteristic's jumps. ``at:
     samples`` is the interval's length times the mean squared error at the record's inputs inside it, which
     estimates the same integral when the input is uniform there, but scores the estimate only where a sample
@@ -217,6 +219,8 @@ class NonlinearityValue(MetricSpec):
 @component("metric", "nonlinearity_percent_error")
 class NonlinearityPercentError(_OnInterval):
     """Root of the integrated squared error in percent of the root of the integrated squared truth.
+
+        100 (integral of (f_est(u) - f(u))^2 du / integral of f(u)^2 du)^(1/2)
 
     A constant that the estimator leaves open is taken off, unless ``up_to`` is written and does not list it.
 

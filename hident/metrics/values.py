@@ -136,6 +136,8 @@ class Share(_EachValue):
 class Coverage(_EachValue, _AgainstTruth, Comparing):
     """100 where the interval by the estimate's own standard error holds the truth, else 0.
 
+        |estimate - truth| <= z se, where z is the normal quantile of the confidence, 1.96 for 0.95
+
     Examples
     --------
     >>> import hident as hi
@@ -162,6 +164,8 @@ class Coverage(_EachValue, _AgainstTruth, Comparing):
 @component("metric", "percent_error", source="Chen, Hwang, Chang 2009, section 6, example 1")
 class PercentError(_AgainstTruth, Comparing):
     """Sum of absolute errors of the values in percent of the sum of their absolute truths.
+
+        100 sum_i |estimate_i - truth_i| / sum_i |truth_i|
 
     Examples
     --------

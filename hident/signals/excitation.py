@@ -296,6 +296,8 @@ class Staircase(ExcitationSpec):
 class Multisine(ExcitationSpec):
     """Sum of harmonics of one period with equal amplitudes and independent uniform phases.
 
+        u(t) = offset + rms (2/H)^(1/2) sum_K cos(2 pi K t/P + phase_K), over H harmonics K of the period P
+
     Examples
     --------
     >>> u = Multisine(period=64, rms=2).sample(64, 1.0, np.random.default_rng(1))

@@ -91,6 +91,8 @@ class _OneLinearBlock(SystemSpec):
 class Hammerstein(_OneLinearBlock):
     """A nonlinearity, then a linear block.
 
+        y = G x,    x = f(u)
+
     Examples
     --------
     >>> import hident as hi
@@ -129,6 +131,8 @@ class Hammerstein(_OneLinearBlock):
 class Wiener(_OneLinearBlock):
     """A linear block, then a nonlinearity.
 
+        y = f(x),    x = G u
+
     Examples
     --------
     >>> import hident as hi
@@ -154,6 +158,8 @@ def _start(initial: str | tuple[float, ...]) -> str:
 @component("system", "wiener_hammerstein")
 class WienerHammerstein(SystemSpec):
     """A nonlinearity between two linear blocks, both discrete or both continuous.
+
+        y = Go f(Gi u)
 
     Continuous blocks are driven by the signal itself, not by its samples held: a sine is one between the
     samples too, from its periodic steady state; other signals find the system in equilibrium.

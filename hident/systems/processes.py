@@ -130,6 +130,10 @@ class _Process(SystemSpec):
 class PhNeutralisation(_Process):
     """Tank in which acid, buffer and base streams mix; from the base flow to the pH of the effluent.
 
+        A dh/dt = q_1 + q_2 + q_3 - R_v h^0.5
+        A h dW_a4/dt = q_1 (W_a1 - W_a4) + q_2 (W_a2 - W_a4) + q_3 (W_a3 - W_a4),    W_b4 likewise
+        W_a4 + 10^(pH - pK_w) + W_b4 (1 + 2 10^(pH - pK_2)) / (1 + 10^(pK_1 - pH) + 10^(pH - pK_2)) = 10^(-pH)
+
     The states are the level h and the reaction invariants W_a4 and W_b4. At a constant level it would be a
     Wiener system with the time constant A h / (q_1 + q_2 + q_3).
 
@@ -220,6 +224,9 @@ class PhNeutralisation(_Process):
 class AcidTank(_Process):
     """Tank in which sodium hydroxide neutralises acetic and propionic acid; from base flow to pH.
 
+        V dC/dt = q_in C_in - (q_a + q_b) C, for the concentration C of acetate, of propionate and of sodium
+        C_Ac / (1 + 10^(pK_AcH - pH)) + C_Pr / (1 + 10^(pK_PrH - pH)) + 10^(pH - pK_w) = C_Na + 10^(-pH)
+
     The states are the total concentrations of acetate, propionate and sodium. The paper leaves out the
     equations: these are the balances of each in a perfectly mixed tank of constant volume, and electric
     neutrality. Simulated exactly.
@@ -282,6 +289,9 @@ class AcidTank(_Process):
 @component("system", "van_de_vusse", source="Chen, Hwang, Chang 2009, example 5, table 3")
 class VanDeVusse(_Process):
     """Stirred-tank reactor with A -> B -> C and 2A -> D; from inlet flow to the concentration of B.
+
+        dC_A/dt = -k_1 C_A - k_3 C_A^2 + F/V (C_Af - C_A)
+        dC_B/dt = k_1 C_A - k_2 C_B - F/V C_B
 
     The states are the concentrations C_A and C_B. Neither Hammerstein nor Wiener: gain and dynamics both
     change with the flow.

@@ -39,6 +39,7 @@ _VERBS = (
     "compare",
     "accept",
     "verify",
+    "report",
     "schema",
     "export",
     "show",

@@ -42,6 +42,7 @@ ADDED = {
     "hident run --trial-timeout 60": "my.yaml --trials 2 --jobs 1 --out limited",
     "hident compare": "mine mine",
     "hident verify": "results",
+    "hident report": "mine --out pages",
     "hident export": "my.yaml trials.csv --trials 2",
     "hident identify": (
         "experiments/data_example/record.csv --input u --output y --structure linear --out linear"
@@ -93,7 +94,7 @@ def test_the_commands_run(folder):
 
 def test_the_commands_on_one_trial_run(folder):
     hident(folder, "run", "my.yaml", "--trials", "20", "--jobs", "1", "--out", "looked_at", "-q")
-    (text,) = blocks("docs/configuration.md", "bash")
+    _, text = blocks("docs/configuration.md", "bash")
     first, worst, failed, exported = (
         hident(folder, *shlex.split(line)[1:], "--trials", "20") for line in text.splitlines()
     )
@@ -186,7 +187,7 @@ def test_what_is_said_of_calls_between_the_lines(space, folder, monkeypatch):
         "y": np.zeros(3),
         "dt": 0.1,
     }
-    assert len(set(calls)) == 20
+    assert len(set(calls)) == 21
     for call in dict.fromkeys(calls):
         # One structure, as all of them take too long.
         eval(call.replace("identify(record)", "identify(record, ['linear'])"), {**space, **names})

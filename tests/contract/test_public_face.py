@@ -6,6 +6,7 @@ import inspect
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,7 @@ NO_EXAMPLE = {
     "compare",
     "examine",
     "power",
+    "report",
     "status",
     "verify",
     "write",
@@ -56,6 +58,7 @@ COUNTERPARTS = {
     "compare": "compare",
     "accept": None,
     "verify": "verify",
+    "report": "report",
     "schema": "schema",
     "export": "Results.trials_frame",
     "show": "first_look",
@@ -86,11 +89,18 @@ def test_public_names_stand_once_and_are_listed():
     assert set(hident.__all__) <= set(dir(hident))
 
 
-def test_the_stub_and_the_marker_are_part_of_the_package():
+def test_every_file_that_is_no_module_is_part_of_the_package():
     package = Path(hident.__file__).parent
-    assert (package / "py.typed").is_file()
-    settings = (package.parent / "pyproject.toml").read_text(encoding="utf-8")
-    assert 'hident = ["py.typed", "*.pyi", "starters/**/*"]' in settings
+    settings = tomllib.loads((package.parent / "pyproject.toml").read_text(encoding="utf-8"))
+    patterns = settings["tool"]["setuptools"]["package-data"]["hident"]
+    packed = {file for pattern in patterns for file in package.glob(pattern)}
+    every = {
+        file
+        for file in package.rglob("*")
+        if file.is_file() and file.suffix != ".py" and "__pycache__" not in file.parts
+    }
+    assert every - packed == set()
+    assert {"py.typed", "__init__.pyi", "base.html"} <= {file.name for file in every}
 
 
 def test_an_unknown_name_is_an_attribute_error():

@@ -287,6 +287,8 @@ class Stop(Spec):
 class BilinearLeastSquares(WeightedBilinearSpec):
     """Hammerstein system by weighted nonlinear least squares, from the two-stage estimate.
 
+        (y - Phi theta)' W (y - Phi theta) least over b and a, where theta are the columns of b a'
+
     Examples
     --------
     >>> import hident as hi

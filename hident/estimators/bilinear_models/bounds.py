@@ -35,6 +35,10 @@ def cramer_rao(regression: Regression, b: Array, a: Array, variance: float) -> t
 class CramerRao(BilinearSpec):
     """Least standard deviations of b_i and a_j, as se_b_i and se_a_j, from the truth: Cramer-Rao bound.
 
+        cov(b, a) >= variance (J' W J)^-1
+
+    Here J is the derivative of Phi theta by a and by the directions in which b keeps the length one.
+
     Examples
     --------
     >>> import hident as hi
@@ -67,6 +71,8 @@ class CramerRao(BilinearSpec):
 @component("estimator", "known_nonlinearity")
 class KnownNonlinearity(WeightedSpec):
     """Finite impulse response by linear least squares when the nonlinearity is known.
+
+        y(t) = sum_i b_i x(t-i) + v(t),    x = f(u)
 
     Examples
     --------

@@ -249,6 +249,9 @@ def separable_least_squares(
 class SeparableLeastSquares(BilinearSpec):
     """Hammerstein system with feedback in the linear block: a_1, ..., a_p outside, b_i and c_j inside.
 
+        F(q) y(t) = sum_i b_i x(t-i) + F(q) v(t),    F(q) = 1 - a_1 q^-1 - ... - a_p q^-p
+        x = sum_j c_j phi_j(u)
+
     Here a_i are the linear block's feedback coefficients, as in all of its kinds, and the nonlinearity is
     c_1 phi_1 + ... + c_m phi_m.
 

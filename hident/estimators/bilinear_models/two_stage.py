@@ -296,6 +296,11 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
 class TwoStage(WeightedBilinearSpec):
     """Hammerstein system by linear least squares and a singular value decomposition.
 
+        1.  (y - Phi theta)' W (y - Phi theta) least, where theta are the columns of Theta
+        2.  the sum of squares of Theta - b a' least
+
+    The regression takes all products b_i a_j as free; the nearest matrix of rank one gives b and a.
+
     Examples
     --------
     >>> import hident as hi

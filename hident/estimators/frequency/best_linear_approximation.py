@@ -78,6 +78,8 @@ def best_linear_approximation(u: Array, y: Array, harmonics: Index) -> BestLinea
 class BestLinear(EstimatorSpec):
     """Best linear approximation from several random-phase multisines, with its two variances.
 
+        G(j w_K) = mean over the realisations of Y_K / U_K, their coefficients at the harmonic K
+
     Each experiment of the record is one realisation of the phases. Values, for each harmonic K of the period:
     gain_K and phase_K (radians), noise_K and total_K, the standard deviations of the complex gain by noise
     and by noise with nonlinear distortions, and distortion_K, that of the distortions in one realisation.

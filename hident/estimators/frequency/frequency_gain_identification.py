@@ -75,6 +75,12 @@ class ContinuousResponse:
 class FrequencyGainIdentification(EstimatorSpec):
     """Gains of both blocks of a Wiener-Hammerstein system, and phase sums, from sines.
 
+        s_0 = C_0(V |Gi(jw)|)
+        Y_k = C_k(V |Gi(jw)|) e^(-j (k-1) pi/2) |Go(jkw)| e^(j theta_k)
+        theta_k = k arg Gi(jw) + arg Go(jkw)
+
+    Y_k is the harmonic k of the response to x_0 + V sin(wt), C_k that of the identified polynomial.
+
     Values, for the frequency number m = 1, 2, ... and the harmonic k = 1, ..., order: gain_i_m = |Gi(j w_m)|,
     gain_o_m_k = |Go(j k w_m)|, phase_sum_m_k = k arg Gi(j w_m) + arg Go(j k w_m); with a gauge also
     phase_i_m and phase_o_m_k, and the coefficients of a rational one; each with its se_. Whether they fit:

@@ -44,6 +44,8 @@ class Staircase:
 class NonlinearityIdentification(EstimatorSpec):
     """Polynomial through the outputs that settle under a staircase (unit static gains).
 
+        y_l = c_0 + c_1 u_l + ... + c_p u_l^p,    y_l the mean output once the level u_l has settled
+
     Values: c_0, ..., c_degree with se_c_j; ``noise`` (standard deviation), ``rise_time`` (90 %, at the
     largest step), ``hold`` (the shortest level, in rise times) and ``drift`` (the largest drift between the
     last two quarters of a level, in standard errors).

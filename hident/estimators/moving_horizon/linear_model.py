@@ -29,6 +29,10 @@ from hident.records import Estimate, Record
 class LinearModel(MovingHorizonSpec):
     """Continuous-time linear model by least squares over moving horizons.
 
+        y + a_1 y^(1) + ... + a_n y^(n) = b_0 u(t-d) + ... + b_m u^(m)(t-d)
+
+    Derivatives y^(l) are taken by the time-weighted integral transform over moving horizons.
+
     Examples
     --------
     >>> import hident as hi

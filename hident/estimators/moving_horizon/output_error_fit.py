@@ -49,6 +49,8 @@ def _last(found: Refinement, size: int) -> float | None:
 class OutputError(AtOneInterval):
     """The two-stage estimate, refined to the least squared error of the simulated output.
 
+        sum_k (y_k - y_k(theta))^2 least over theta, where y_k(theta) is simulated from the input
+
     Values besides the parameters and their se_: iterations; step_left, the length of the step that is left,
     in standard errors; converged, 0 where it is longer than 0.0001 because the minimum lies on a kink of
     the criterion (Wiener only: a sample on a bend of the nonlinearity). Such an estimate does not count as

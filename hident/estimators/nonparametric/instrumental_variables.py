@@ -111,6 +111,8 @@ _UNCORRELATED = 1e-12
 class InstrumentalVariables(DynamicsSpec):
     """Linear block by instrumental variables m(u); consistent under output noise.
 
+        theta = (sum_k psi_k phi_k')^-1 sum_k psi_k y_k
+
     The first ``order`` + ``ma_order`` samples of each experiment serve as past samples only.
 
     Examples

@@ -230,6 +230,10 @@ class Bandwidth(Spec):
 class Kernel(NonparametricSpec):
     """Characteristic by kernel regression, plain or with prefilter.
 
+        R(u) = sum_k y_k K((u_k - u)/h) / sum_k K((u_k - u)/h)
+
+    With a prefilter the filtered output, of which the linear block is undone, stands in the place of y_k.
+
     Examples
     --------
     >>> import hident as hi

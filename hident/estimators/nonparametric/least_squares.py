@@ -167,6 +167,8 @@ def least_squares(y: Array, p: int, parts: Parts | None = None) -> Estimate:
 class LeastSquares(DynamicsSpec):
     """Autoregressive block by least squares; consistent only without output noise, good when it is small.
 
+        y_k = a_1 y_{k-1} + ... + a_p y_{k-p} + c + e_k,    sum_k e_k^2 least
+
     The first ``order`` samples of each experiment serve as past outputs only.
 
     Examples

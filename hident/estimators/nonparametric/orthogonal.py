@@ -176,6 +176,11 @@ _DENSITIES: dict[str, type[UniformDensity] | type[GaussianDensity]] = {
 class Orthogonal(NonparametricSpec):
     """Characteristic by a ratio of orthogonal series, plain or with prefilter.
 
+        R(u) = sum_i alpha_i phi_i(u) / sum_i beta_i phi_i(u)
+
+    Here alpha_i is the mean of y_k phi_i(u_k) over the samples, and beta_i that of phi_i(u_k). With a
+    prefilter the filtered output, of which the linear block is undone, stands in the place of y_k.
+
     Examples
     --------
     >>> import hident as hi

@@ -49,6 +49,8 @@ class NoiseOrders(Spec):
 class PredictionError(AtOneInterval):
     """Chain of blocks whose sum of squared prediction errors is least, of several starts.
 
+        y = G_n(... f_2(G_1(f_1(u)))) + v,    D(q) v = C(q) e,    sum_k e_k^2 least
+
     The blocks say what is fitted: static-linear is a Hammerstein system, linear-static a Wiener system,
     linear-static-linear a Wiener-Hammerstein system, static-linear-static a Hammerstein-Wiener one. With
     ``noise`` of orders zero this is output error: the simulation is fitted; else one-step predictions are.

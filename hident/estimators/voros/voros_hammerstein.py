@@ -345,6 +345,10 @@ def voros_hammerstein(
 class VorosHammerstein(VorosSpec):
     """Hammerstein system with a two-segment polynomial, discrete, by key-term separation.
 
+        y(t) = sum_i a_i y(t-i) + x(t-k) + sum_{i != k} b_i x(t-i),    x = f(u) + (g(u) - f(u)) h(u)
+
+    The term of the lag k is the key term, in which x is written out.
+
     The key term's b is 1, so that the static gain lies in the nonlinearity. Both polynomials vanish at zero.
 
     Examples

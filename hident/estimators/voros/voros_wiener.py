@@ -83,6 +83,10 @@ def voros_wiener(
 class VorosWiener(VorosSpec):
     """Wiener system with a two-segment polynomial, discrete, by key-term separation.
 
+        x(t) = sum_i a_i x(t-i) + sum_i b_i u(t-i),    y = x + f_2 x^2 + ... + f_r x^r + (g(x) - f(x)) h(x)
+
+    The first term of y is the key term, in which x is written out.
+
     f_1 is 1 and the static gain lies in the linear block. Both polynomials vanish at zero.
 
     Examples

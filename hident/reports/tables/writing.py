@@ -8,11 +8,14 @@ from typing import Any
 
 from hident.config.suggest import one_of
 from hident.engine.results import Series
-from hident.ledger.verdicts import Verdict
+from hident.ledger.verdicts import Verdict, Word
 
-_SIGNS = {"exact": "=", "agrees": "~", "untestable": "?", "differs": "!"}
+SIGNS: dict[Word, str] = {"exact": "=", "agrees": "~", "untestable": "?", "differs": "!"}
+"""What stands behind a printed number, by the word of its verdict."""
+LEGEND = "Beside ours, the printed number: "
+"""How the note begins that says what the signs mean."""
 _LEGEND = (
-    "Beside ours, the printed number: `=` ours rounds to it, `~` it lies in the interval that the trials "
+    f"{LEGEND}`=` ours rounds to it, `~` it lies in the interval that the trials "
     "give and not in that of every alternative, `?` it lies in all of them, `!` it differs."
 )
 
@@ -34,7 +37,7 @@ def decimals_of(value: float, digits: int) -> int:
 
 def judged(verdict: Verdict | None) -> str:
     """The printed number with the sign of its verdict; nothing where nothing is printed."""
-    return f"{verdict.printed.printed} {_SIGNS[verdict.word]}" if verdict else ""
+    return f"{verdict.printed.printed} {SIGNS[verdict.word]}" if verdict else ""
 
 
 def legend(verdicts: Iterable[Verdict]) -> list[str]:

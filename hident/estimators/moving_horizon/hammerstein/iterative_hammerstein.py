@@ -45,6 +45,11 @@ _GUESS = Polynomial(kind="polynomial", degree=5)
 class IterativeHammerstein(IterativeSpec):
     """Continuous-time Hammerstein system by the iterative two-stage algorithm.
 
+        y + a_1 y^(1) + ... + a_n y^(n) = x(t-d) + b_1 x^(1)(t-d) + ... + b_m x^(m)(t-d)
+        x = sum_j c_j f_j(u)
+
+    Derivatives y^(l) are taken by the time-weighted integral transform over moving horizons.
+
     Examples
     --------
     >>> import hident as hi

@@ -74,6 +74,11 @@ def smoothed(v: Array, y: Array, clusters: int) -> Array:
 class IterativeWiener(IterativeSpec):
     """Continuous-time Wiener system by the iterative two-stage algorithm.
 
+        x + a_1 x^(1) + ... + a_n x^(n) = b_0 u(t-d) + ... + b_m u^(m)(t-d)
+        x = y - sum_i c_i g_i(y)
+
+    Derivatives x^(l) are taken by the time-weighted integral transform over moving horizons.
+
     Differs from the paper: poles of an iterate in the right half plane are reflected into the left one, and
     an iteration that ends badly, or does not converge, starts again from the linear model's output.
 

@@ -1,0 +1,167 @@
+"""The front page: what was reproduced and how sure that is, comparisons, records; the list of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from hident.engine.run_files import PAGE
+from hident.engine.trial import digest
+from hident.ledger.judged import COUNTED
+from hident.ledger.verify import TableState
+from hident.reports.page import Page as Content
+from hident.reports.site import drawings, tables
+from hident.reports.site.facts import WORDS
+from hident.reports.site.numbers import MEANINGS, SIGNS
+from hident.reports.site.pages import FRONT, Page, Part, Run, Sources, paper_page, run_file, run_page
+from hident.reports.site.rendering import NAVIGATION
+
+PICTURE = "ledger.svg"
+"""The ledger as a picture by itself."""
+_PICTURES = (".svg", ".png")
+_MOST_CELLS = 80
+"""Cells of a table of a measured record."""
+KINDS = {
+    "printed": "with printed numbers",
+    "comparison": "comparison of methods",
+    "measured": "measured record",
+    "study": "study",
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """A table of the ledger."""
+
+    state: TableState
+    run: Run
+    methods: tuple[str, ...]
+
+    @property
+    def words(self) -> str:
+        """The verdicts that some of its numbers have, between bars."""
+        return "|".join(word for word in WORDS if self.state.counts.get(word))
+
+
+@dataclass(frozen=True)
+class Paper:
+    """What was reproduced of one paper."""
+
+    name: str
+    title: str
+    page: str
+    """Empty where the site has none."""
+    rows: tuple[Row, ...]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many printed numbers came out how."""
+        return {word: sum(row.state.counts.get(word, 0) for row in self.rows) for word in WORDS}
+
+
+def parts(sources: Sources) -> Iterator[Part]:
+    """One part: the front page, the list of runs and what both are made of."""
+    key = [[run.name, run.hashes, list(run.facts.faults)] for run in sources.runs]
+    yield Part(digest(["front", key, _titles(sources)]), lambda: _pages(sources))
+
+
+def picture(sources: Sources) -> str:
+    """The ledger as an SVG by itself."""
+    return drawings.ledger(
+        [
+            (paper.title, [(f"{row.state.table} ({row.run.name})", row.state) for row in paper.rows])
+            for paper in papers(sources)
+        ]
+    )
+
+
+def papers(sources: Sources) -> list[Paper]:
+    """The papers with their tables, by their titles; tables of which no number counts are left out."""
+    titles = dict(_titles(sources))
+    found: dict[str, list[Row]] = {}
+    for run in sources.runs:
+        for state in run.facts.tables:
+            if any(state.counts.values()):
+                row = Row(state, run, run.facts.kinds("estimators"))
+                found.setdefault(run.facts.paper, []).append(row)
+    return [
+        Paper(name, titles.get(name, name), paper_page(name) if name in titles else "", tuple(rows))
+        for name, rows in sorted(found.items(), key=lambda item: titles.get(item[0], item[0]).lower())
+    ]
+
+
+def _titles(sources: Sources) -> list[list[str]]:
+    """The folders under experiments/ and the titles of their pages."""
+    return [[file.parent.name, _first_line(file)] for file in sorted(sources.experiments.glob("*/README.md"))]
+
+
+def _first_line(file: Path) -> str:
+    with file.open(encoding="utf-8", errors="replace") as lines:
+        return lines.readline().strip().lstrip("# ")
+
+
+def _pages(sources: Sources) -> Iterator[Page]:
+    every = papers(sources)
+    counts = {word: sum(paper.counts[word] for paper in every) for word in WORDS}
+    newest = sorted(sources.runs, key=lambda run: (run.facts.finished, run.name), reverse=True)
+    common = {
+        "drawings": drawings,
+        "words": WORDS,
+        "signs": SIGNS,
+        "meanings": MEANINGS,
+        "page_of": lambda run: run_page(run.name),
+        "file_of": lambda run, name: run_file(run.name, name),
+    }
+    front = {
+        "papers": every,
+        "counts": counts,
+        "printed": len({key for paper in every for row in paper.rows for key in _counted(paper, row)}),
+        "methods": sorted({kind for paper in every for row in paper.rows for kind in row.methods}),
+        "comparisons": [(run, _picture_of(run)) for run in newest if run.facts.is_comparison],
+        "measured": [
+            (run, _picture_of(run), _first_table(run)) for run in newest if _what(run) == "measured"
+        ],
+        "others": [run for run in sources.runs if _what(run) == "study"],
+        "faulty": [run for run in sources.runs if run.facts.faults],
+    }
+    said = [row.state.table + " " + row.run.facts.title for paper in every for row in paper.rows]
+    yield Page(FRONT, "What was reproduced", "Ledger", "front.html", common | front, " ".join(said))
+    listed = [(run, KINDS[_what(run)]) for run in sources.runs]
+    there = {kind for _, kind in listed}
+    data = common | {"runs": listed, "kinds": [kind for kind in KINDS.values() if kind in there]}
+    yield Page(
+        NAVIGATION["Runs"], "Runs", "Runs", "runs.html", data, " ".join(r.facts.title for r in sources.runs)
+    )
+
+
+def _counted(paper: Paper, row: Row) -> Iterator[tuple[str, ...]]:
+    """The printed numbers of a table that count, by their places in the paper."""
+    verdicts = row.run.facts.verdicts
+    for one in verdicts.rows if verdicts else ():
+        if one["mark"] in COUNTED and one["table"] == row.state.table:
+            yield paper.name, one["table"], one["row"], one["quantity"]
+
+
+def _what(run: Run) -> str:
+    """What a run is about, of the keys of :data:`KINDS`."""
+    facts = run.facts
+    if facts.tables:
+        return "printed"
+    if facts.is_comparison:
+        return "comparison"
+    return "measured" if facts.is_measured else "study"
+
+
+def _picture_of(run: Run) -> str:
+    """A figure of a run that a card can show; empty if there is none."""
+    return next((name for name in run.files if name.endswith(_PICTURES)), "")
+
+
+def _first_table(run: Run) -> tables.Shown | None:
+    """The beginning of the first table of a run; None if there is none."""
+    if PAGE not in run.files:
+        return None
+    text = (run.folder.path / PAGE).read_text(encoding="utf-8", errors="replace")
+    found = Content.read(text).tables
+    return tables.shown(found[0], _MOST_CELLS) if found else None

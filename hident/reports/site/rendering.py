@@ -1,0 +1,58 @@
+"""Pages as HTML: jinja2 with everything escaped."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import hident
+from hident.reports.site.pages import COMPONENTS, FRONT, Page, Written, relative
+
+if TYPE_CHECKING:
+    import jinja2
+
+TEMPLATES = Path(__file__).parent / "templates"
+STATIC = Path(__file__).parent / "static"
+NAVIGATION = {
+    "Ledger": FRONT,
+    "Runs": "runs/index.html",
+    "Components": COMPONENTS,
+    "Handbook": "handbook/index.html",
+    "Index": "search.html",
+}
+"""The sections of the site, and the page of each that is seen first."""
+
+
+def rendered(page: Page) -> Written:
+    """The page with its HTML."""
+
+    def to(target: str) -> str:
+        return relative(target, page.path)
+
+    template = _environment().get_template(page.template)
+    html = template.render(
+        {**page.data, "page": page, "to": to, "navigation": NAVIGATION, "version": hident.__version__}
+    )
+    return Written(page.path, page.title, page.section, html, page.text, page.passages)
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["default_counts"] = _every_word
+    return environment
+
+
+def _every_word(counts: Mapping[str, int], words: Sequence[str]) -> dict[str, int]:
+    """The counts of all words, with 0 where there is none."""
+    return {word: counts.get(word, 0) for word in words}

@@ -1,0 +1,393 @@
+"""A page for each run: what the paper printed, what we get, how sure that is, and which command shows it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import re
+import shlex
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from hident.config.spec import components
+from hident.engine.run_files import (
+    CRASHES,
+    PAGE,
+    RUN,
+    SENSITIVITY,
+    TABLE,
+    TIMING,
+    TRIALS,
+    VERDICTS,
+)
+from hident.engine.trial import digest
+from hident.errors import ConfigError
+from hident.ledger.judged import as_number, judged
+from hident.ledger.published import REASONS, Reason, read_reasons
+from hident.ledger.trial_values import TrialValues
+from hident.reports.page import Page as Content
+from hident.reports.site import bibliography, configuration, drawings, tables
+from hident.reports.site.facts import WORDS, Facts
+from hident.reports.site.markdown import html
+from hident.reports.site.numbers import MARKS, MEANINGS, SIGNS, Number, numbers_of
+from hident.reports.site.pages import (
+    Page,
+    Part,
+    Run,
+    Sources,
+    component_page,
+    paper_page,
+    run_file,
+    run_page,
+)
+from hident.reports.tables.writing import written
+
+_PICTURES = (".svg", ".png", ".pdf")
+_MOST_ROWS = 100
+"""Rows of alternatives and of failures that a page shows."""
+_SECTIONS = {
+    "estimators": "estimator",
+    "metrics": "metric",
+    "tables": "table",
+    "figures": "figure",
+}
+
+
+def parts(sources: Sources) -> Iterator[Part]:
+    """A part for each run, with its files."""
+    known = {
+        path: sha256(path.read_bytes()).hexdigest()
+        for path in (*sources.experiments.glob(f"*/{REASONS}"), *sources.experiments.glob("*/*.bib"))
+    }
+    kinds = [[family, *components(family)] for family in ("estimator", "metric", "table", "figure")]
+    told = _told_in(sources)
+    for run in sources.runs:
+        files = {run_file(run.name, name): run.folder.path / name for name in run.files}
+        shows = _shows(sources.configs / f"{run.facts.config}.yaml")
+        papers = told.get(run.facts.config, [])
+        key = digest(
+            [
+                run.name,
+                run.hashes,
+                run.facts.faults,
+                shows,
+                papers,
+                kinds,
+                [[str(p), h] for p, h in known.items()],
+            ]
+        )
+        yield Part(key, partial(_page, run, sources, shows, papers), files)
+
+
+def _told_in(sources: Sources) -> dict[str, list[tuple[str, str]]]:
+    """The pages under experiments/ that speak of each configuration: their paths and titles."""
+    found: dict[str, list[tuple[str, str]]] = {}
+    for file in sorted(sources.experiments.glob("*/README.md")):
+        text = file.read_text(encoding="utf-8", errors="replace")
+        title = text.partition("\n")[0].lstrip("# ")
+        for run in sources.runs:
+            if re.search(rf"\b{re.escape(run.facts.config)}\b", text) or file.parent.name == run.facts.config:
+                found.setdefault(run.facts.config, []).append((paper_page(file.parent.name), title))
+    return found
+
+
+def _shows(config: Path) -> str:
+    """What a configuration says of itself: the comment that it begins with."""
+    try:
+        lines = config.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return ""
+    said = []
+    for line in lines:
+        if not line.startswith("#"):
+            break
+        if not line.startswith("# yaml-language-server"):
+            said.append(line.lstrip("# "))
+    return " ".join(said)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of a run."""
+
+    name: str
+    picture: str
+    """The file that a page shows; empty where there is none to show."""
+    files: tuple[str, ...]
+    size: tuple[int, int] | None
+    about: str
+    kind: str
+
+
+def _page(run: Run, sources: Sources, shows: str, told: Sequence[tuple[str, str]]) -> Iterator[Page]:
+    facts, path = run.facts, run_page(run.name)
+    trials, astray = _trials(run)
+    numbers, unreadable = _numbers(run, trials)
+    reasons = _reasons(sources.experiments / facts.paper) if facts.paper else ()
+    differing = _differing(numbers, facts, reasons)
+    page_text = _text_of(run, PAGE)
+    failures = _failures(run)
+    content = Content.read(page_text) if page_text else None
+    said = "\n\n".join(_said(content)) if content else ""
+    data = {
+        "run": run,
+        "facts": facts,
+        "show_name": shlex.quote(f"out/{facts.config}"),
+        "faults": [*facts.faults, *astray, *unreadable],
+        "shows": shows,
+        "told": told,
+        "file": partial(run_file, run.name),
+        "grids": tables.grids(numbers[: tables.MOST_NUMBERS]),
+        "more_numbers": max(len(numbers) - tables.MOST_NUMBERS, 0),
+        "states": {state.table: state for state in facts.tables},
+        "drawings": drawings,
+        "signs": SIGNS,
+        "meanings": MEANINGS,
+        "marks": MARKS,
+        "words": WORDS,
+        "differing": differing,
+        "written": written,
+        "figures": list(_figures(run)),
+        "tables": tables.all_shown(content.tables) if content else [],
+        "said": html(said, path, "", lambda target: False) if said else "",
+        "statistics": [*dict.fromkeys(one.statistic for one in numbers if one.statistic)],
+        "alternatives": _alternatives(facts),
+        "stale": facts.verdicts.stale if facts.verdicts else (),
+        "failures": failures[:_MOST_ROWS],
+        "more_failures": max(len(failures) - _MOST_ROWS, 0),
+        "timing": tables.listed(run.folder.path / TIMING) if TIMING in run.files else None,
+        "moved": _moved(run),
+        "provenance": list(_provenance(facts)),
+        "seconds": list(_pairs(facts.provenance.get("seconds"))),
+        "configuration": configuration.lines(facts.resolved),
+        "commands": list(_commands(run)),
+        "name": shlex.quote(facts.config),
+        "citations": list(_citations(facts, sources.experiments)),
+        "files": [(name, (run.folder.path / name).stat().st_size, _about(name)) for name in run.files],
+    }
+    headings = [part for table in content.tables for part in (table.title, *table.header)] if content else []
+    kinds = [kind for section in _SECTIONS for kind in facts.kinds(section)]
+    told_of = [reason for reason, _ in differing]
+    words = " ".join([facts.config, facts.title, shows, said, *told_of, *dict.fromkeys(headings), *kinds])
+    yield Page(path, facts.title, "Runs", "run.html", data, words)
+
+
+def _trials(run: Run) -> tuple[TrialValues | None, list[str]]:
+    """The values of the trials, where a number stands beside them; and what is wrong with their file."""
+    if run.facts.verdicts is None or TRIALS not in run.files:
+        return None, []
+    try:
+        return TrialValues.decoded((run.folder.path / TRIALS).read_bytes()), []
+    except (OSError, ValueError, EOFError, csv.Error) as error:
+        return None, [f"{TRIALS} cannot be read ({error})"]
+
+
+def _said(content: Content) -> Iterator[str]:
+    """What table.md says of the run as a whole, but for what the page shows elsewhere."""
+    yield from content.above[1:]
+    inside = False
+    for paragraph in content.below:
+        # The numbers that differ stand as a list below their reason.
+        inside = paragraph.startswith("Differs:") or (inside and paragraph.startswith("- "))
+        if not inside and not paragraph.startswith("Printed numbers:"):
+            yield paragraph
+
+
+def _numbers(run: Run, trials: TrialValues | None) -> tuple[list[Number], list[str]]:
+    """The printed numbers of a run; and what is wrong with their file."""
+    verdicts = run.facts.verdicts
+    if verdicts is None:
+        return [], []
+    try:
+        rows = judged(run.folder.path / VERDICTS, verdicts.resolved, trials)
+        return list(numbers_of(rows, verdicts.power, trials)), []
+    except ConfigError as error:
+        return [], [str(error).replace(f"{run.folder.path}/", "")]
+
+
+def _text_of(run: Run, name: str) -> str:
+    if name not in run.files:
+        return ""
+    return (run.folder.path / name).read_text(encoding="utf-8", errors="replace")
+
+
+def _reasons(paper: Path) -> tuple[Reason, ...]:
+    try:
+        return read_reasons(paper)
+    except ConfigError:
+        return ()
+
+
+def _differing(
+    numbers: Sequence[Number], facts: Facts, reasons: Sequence[Reason]
+) -> list[tuple[str, list[Number]]]:
+    """The numbers that differ, those of one reason together; the reasons are those of today."""
+    found: dict[str, list[Number]] = {}
+    for one in numbers:
+        it = one.judged
+        if it.word == "differs":
+            today = next((r.reason for r in reasons if r.covers(facts.config, it.key)), it.reason)
+            said = today or MARKS.get(it.mark, "").capitalize() or "No reason is given yet."
+            found.setdefault(said, []).append(one)
+    return list(found.items())
+
+
+def _figures(run: Run) -> Iterator[Figure]:
+    """The figures of a run, by the names of its configuration and then by those of its files."""
+    asked = run.facts.resolved.get("figures")
+    asked = asked if isinstance(asked, Mapping) else {}
+    there = {name.rpartition(".")[0] for name in run.files if name.endswith(_PICTURES)}
+    known = components("figure")
+    for name in dict.fromkeys([*asked, *sorted(there)]):
+        files = tuple(f"{name}{end}" for end in _PICTURES if f"{name}{end}" in run.files)
+        shown = next((file for file in files if not file.endswith(".pdf")), "")
+        spec = asked.get(name)
+        kind = str(spec.get("kind", "")) if isinstance(spec, Mapping) else ""
+        about = known[kind].summary() if kind in known else ""
+        size = _size(run.folder.path / shown) if shown.endswith(".png") else None
+        yield Figure(name, shown, files, size, about, component_page("figure", kind) if about else "")
+
+
+def _size(file: Path) -> tuple[int, int] | None:
+    """Width and height of a PNG in pixels."""
+    with file.open("rb") as content:
+        head = content.read(24)
+    if len(head) < 24 or not head.startswith(b"\x89PNG"):
+        return None
+    width, height = struct.unpack(">II", head[16:24])
+    return int(width), int(height)
+
+
+def _alternatives(facts: Facts) -> list[dict[str, Any]]:
+    """For each table the alternatives, what each changes, and what the table makes of it."""
+    power = facts.verdicts.power if facts.verdicts else None
+    changes = facts.resolved.get("alternatives")
+    changes = changes if isinstance(changes, Mapping) else {}
+    if power is None:
+        return []
+    return [
+        {
+            "state": state,
+            "rows": [(one, _changes(changes.get(one.alternative))) for one in power.of_table(state.table)],
+        }
+        for state in facts.tables
+        if power.of_table(state.table)
+    ]
+
+
+def _changes(change: Any) -> list[str]:
+    """What an alternative changes, a line for each key path."""
+    if not isinstance(change, Mapping):
+        return []
+    return [f"{path}: {json.dumps(value, ensure_ascii=False)}" for path, value in change.items()]
+
+
+def _failures(run: Run) -> list[dict[str, Any]]:
+    """Where trials failed: the unit, how many, and which metrics."""
+    rows = tables.records(run.folder.path / TABLE) if TABLE in run.files else []
+    found: dict[tuple[str, ...], dict[str, Any]] = {}
+    for row in rows:
+        if as_number(row.get("failed", "")) > 0:
+            axes = [f"{name} {row[name]}" for name in _axes(row) if row[name]]
+            key = (row.get("estimator", ""), row["failed"], *axes)
+            unit = found.setdefault(
+                key,
+                {"estimator": row.get("estimator", ""), "case": ", ".join(axes), "metrics": [], "row": row},
+            )
+            unit["metrics"].append(row.get("metric", ""))
+    return list(found.values())
+
+
+def _axes(row: Mapping[str, str]) -> list[str]:
+    names = list(row)
+    return names[: names.index("estimator")] if "estimator" in names else []
+
+
+def _moved(run: Run) -> tuple[int, int] | None:
+    """How many trials a last bit moved, of how many; None where it was not measured."""
+    rows = tables.records(run.folder.path / SENSITIVITY) if SENSITIVITY in run.files else []
+    counts = [(as_number(row.get("perturbed", "")), as_number(row.get("moved", ""))) for row in rows]
+    if not counts or any(math.isnan(one) for pair in counts for one in pair):
+        return None
+    return int(sum(moved for _, moved in counts)), int(sum(of for of, _ in counts))
+
+
+def _provenance(facts: Facts) -> Iterator[tuple[str, str]]:
+    """What decides the numbers, and where they come from."""
+    known = facts.provenance
+    yield "configuration", facts.config
+    if facts.seed is not None:
+        yield "seed", str(facts.seed)
+    if facts.trials is not None:
+        yield "trials of each estimator and case", str(facts.trials)
+    yield from (("measured record", record) for record in facts.records)
+    if known.get("hident"):
+        yield "hident", str(known["hident"])
+    if commit := known.get("git_commit"):
+        yield "commit", f"{commit}{', with changes since' if known.get('git_dirty') else ''}"
+    if known.get("python"):
+        yield "Python", str(known["python"])
+    if libraries := [f"{name} {version}" for name, version in _pairs(known.get("libraries"))]:
+        yield "libraries", ", ".join(libraries)
+    arithmetic = known.get("arithmetic")
+    if isinstance(arithmetic, Mapping) and arithmetic.get("identity"):
+        yield "arithmetic", str(arithmetic["identity"])
+    for name in ("platform", "cpu", "finished"):
+        if known.get(name):
+            yield name, str(known[name])
+
+
+def _pairs(value: Any) -> Iterator[tuple[str, str]]:
+    if isinstance(value, Mapping):
+        yield from ((str(name), str(inner)) for name, inner in value.items())
+
+
+def _commands(run: Run) -> Iterator[tuple[str, str]]:
+    """The commands that make the run and its parts again, and what each does."""
+    facts, name = run.facts, shlex.quote(run.facts.config)
+    yield f"hident run {name}", "computes the trials and writes all that stands here to out/"
+    yield "hident compare out results", "holds them against the accepted results, trial by trial"
+    if facts.resolved.get("alternatives"):
+        yield f"hident power {name}", "runs the alternatives"
+    yield f"hident show {name} --trial 0", "makes one trial again: its record, estimates, scores and a figure"
+    yield f"hident show {name} --failed", "lists the trials that failed, with their reasons"
+    yield f"hident export {name} values.csv", "writes the scores of all trials, one in a row"
+
+
+def _citations(facts: Facts, experiments: Path) -> Iterator[tuple[str, str]]:
+    """BibTeX of the paper and of what the configuration uses, each once, and what it is for."""
+    known = bibliography.known(experiments)
+    uses: dict[str, list[str]] = {}
+    if facts.paper in known:
+        uses[facts.paper] = ["the paper"]
+    for section, family in _SECTIONS.items():
+        registered = components(family)  # type: ignore[arg-type]
+        for kind in facts.kinds(section):
+            source = registered[kind].source if kind in registered else ""
+            for key in bibliography.cited(source, known):
+                uses.setdefault(key, []).append(f"{family} {kind}")
+    for key, what in uses.items():
+        yield ", ".join(dict.fromkeys(what)), known[key]
+
+
+def _about(name: str) -> str:
+    """What a file of a run is."""
+    told = {
+        RUN: "the configuration, the seed and where the files come from",
+        TABLE: "all statistics, one row for each estimator, case and metric",
+        PAGE: "the tables as text",
+        VERDICTS: "the verdicts on the printed numbers",
+        TRIALS: "the value of every trial (pandas.read_csv reads it)",
+        TIMING: "the seconds of a fit, on the machine of the run",
+        SENSITIVITY: "how many trials a last bit moves",
+        CRASHES: "what crashed",
+    }
+    if name in told:
+        return told[name]
+    return "a table by itself" if name.endswith(".csv") else "a figure" if name.endswith(_PICTURES) else ""

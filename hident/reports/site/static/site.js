@@ -1,0 +1,178 @@
+"use strict";
+// All pages are whole without this: it adds a choice of the theme, details on hover and focus, filters and a zoom.
+
+(() => {
+  const root = document.documentElement;
+
+  // What is kept is a comfort: a browser may refuse it, as some do for files.
+  function kept(name, value) {
+    try {
+      if (value === undefined) return localStorage.getItem(name);
+      localStorage.setItem(name, value);
+    } catch {
+      return null;
+    }
+    return value;
+  }
+
+  function theme() {
+    const chosen = kept("theme");
+    if (chosen === "light" || chosen === "dark") root.dataset.theme = chosen;
+  }
+  theme();
+
+  function addTheme() {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.className = "theme";
+    const isDark = () =>
+      (root.dataset.theme || (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light")) === "dark";
+    const name = () => { button.textContent = isDark() ? "Light" : "Dark"; };
+    button.addEventListener("click", () => {
+      root.dataset.theme = isDark() ? "light" : "dark";
+      kept("theme", root.dataset.theme);
+      name();
+    });
+    name();
+    document.querySelector("body > header").append(button);
+  }
+
+  // The details of a number: shown on hover and on keyboard focus, kept by a click, closed by Escape.
+  function addDetails() {
+    if (!HTMLElement.prototype.showPopover) return;
+    let pinned = null;
+    let timer = 0;
+
+    function place(detail, button) {
+      const at = button.getBoundingClientRect();
+      const size = detail.getBoundingClientRect();
+      const gap = 6;
+      const left = Math.max(gap, Math.min(at.left, innerWidth - size.width - gap));
+      const below = at.bottom + gap;
+      const above = at.top - size.height - gap;
+      const top = below + size.height <= innerHeight || above < 0 ? below : above;
+      detail.style.margin = "0";
+      detail.style.inset = "auto";
+      detail.style.left = `${left}px`;
+      detail.style.top = `${Math.max(gap, Math.min(top, innerHeight - size.height - gap))}px`;
+    }
+
+    for (const button of document.querySelectorAll("button[popovertarget]")) {
+      const detail = document.getElementById(button.getAttribute("popovertarget"));
+      const isOpen = () => detail.matches(":popover-open");
+      const show = () => {
+        if (!isOpen()) detail.showPopover();
+        place(detail, button);
+      };
+      const hide = () => {
+        if (isOpen() && pinned !== detail) detail.hidePopover();
+      };
+      const soon = (action, wait) => {
+        clearTimeout(timer);
+        timer = setTimeout(action, wait);
+      };
+      button.addEventListener("pointerenter", (event) => {
+        if (event.pointerType === "mouse" && !pinned) soon(show, 150);
+      });
+      button.addEventListener("pointerleave", () => soon(hide, 200));
+      detail.addEventListener("pointerenter", () => clearTimeout(timer));
+      detail.addEventListener("pointerleave", () => soon(hide, 200));
+      button.addEventListener("focus", () => {
+        if (button.matches(":focus-visible")) show();
+      });
+      button.addEventListener("blur", hide);
+      button.addEventListener("click", (event) => {
+        clearTimeout(timer);
+        if (isOpen() && pinned !== detail) {
+          // The browser would close what hover or focus has opened.
+          event.preventDefault();
+          pinned = detail;
+        } else if (!isOpen()) {
+          pinned = detail;
+        }
+      });
+      detail.addEventListener("toggle", (event) => {
+        if (event.newState === "open") place(detail, button);
+        else if (pinned === detail) pinned = null;
+      });
+    }
+  }
+
+  // Filters of a table: each select names an attribute of the rows, in which values stand between bars.
+  function addFilters() {
+    for (const form of document.querySelectorAll("form.filters")) {
+      const rows = [...document.querySelectorAll(`#${form.dataset.rows} [data-row]`)];
+      const said = form.querySelector("output");
+      const fields = [...form.querySelectorAll("select, input")];
+      const apply = () => {
+        let shown = 0;
+        for (const row of rows) {
+          const fits = fields.every((field) => {
+            const wanted = field.value.trim();
+            if (!wanted) return true;
+            if (field.type === "search") return row.textContent.toLowerCase().includes(wanted.toLowerCase());
+            return (row.getAttribute(`data-${field.name}`) || "").split("|").includes(wanted);
+          });
+          row.hidden = !fits;
+          shown += fits;
+        }
+        for (const group of document.querySelectorAll(`#${form.dataset.rows} [data-group]`)) {
+          group.hidden = ![...group.querySelectorAll("[data-row]")].some((row) => !row.hidden);
+        }
+        said.textContent = `${shown} of ${rows.length} shown`;
+      };
+      form.hidden = false;
+      form.addEventListener("input", apply);
+      form.addEventListener("submit", (event) => event.preventDefault());
+      form.addEventListener("reset", () => setTimeout(apply));
+      apply();
+    }
+  }
+
+  // A figure as large as it is: opened by its link, closed by Escape.
+  function addZoom() {
+    const links = document.querySelectorAll("a.zoom");
+    if (!links.length || !window.HTMLDialogElement) return;
+    const dialog = document.createElement("dialog");
+    dialog.className = "zoomed";
+    dialog.innerHTML = '<div tabindex="0"><img alt=""></div><button type="button">Close</button>';
+    document.body.append(dialog);
+    const image = dialog.querySelector("img");
+    const steps = [0, 1, 2];
+    let step = 0;
+    const size = () => {
+      const factor = steps[step];
+      image.style.width = factor ? `${factor * image.naturalWidth}px` : "100%";
+      image.style.height = factor ? "auto" : "100%";
+      image.style.objectFit = "contain";
+    };
+    image.addEventListener("click", () => {
+      step = (step + 1) % steps.length;
+      size();
+    });
+    dialog.querySelector("button").addEventListener("click", () => dialog.close());
+    for (const link of links) {
+      link.addEventListener("click", (event) => {
+        if (event.ctrlKey || event.metaKey || event.shiftKey) return;
+        event.preventDefault();
+        const shown = link.querySelector("img");
+        image.src = shown.src;
+        image.alt = shown.alt;
+        dialog.setAttribute("aria-label", shown.alt);
+        step = 0;
+        size();
+        dialog.showModal();
+      });
+    }
+  }
+
+  addEventListener("beforeprint", () => {
+    for (const details of document.querySelectorAll("details")) details.open = true;
+  });
+  document.addEventListener("DOMContentLoaded", () => {
+    addTheme();
+    addDetails();
+    addFilters();
+    addZoom();
+  });
+})();

@@ -1,0 +1,459 @@
+"""The site of results, without a browser: what stands on its pages, and what they are made of."""
+
+import csv
+import hashlib
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from hident import plugins
+from hident.config.load import read_leniently
+from hident.engine.run_files import RUN, VERDICTS
+from hident.errors import ConfigError, NothingToCompare
+from hident.reports.site import build as module
+from hident.reports.site import configuration, drawings, front, runs, tables
+from hident.reports.site.build import build
+from hident.reports.site.facts import WORDS
+from hident.reports.site.numbers import SIGNS
+from hident.reports.site.pages import Run, Sources, run_page
+from hident.reports.site.rendering import rendered
+from hident.run_folder import RunFolder
+from tests.accepted import RESULTS, ROOT
+from tests.unit.site_reader import Reader, dead_links, pages
+
+MOST_BYTES = 300_000
+"""Of a page without its figures."""
+RUNS = sorted(path.parent.name for path in RESULTS.glob(f"*/{RUN}"))
+JUDGED = sorted(path.parent.name for path in RESULTS.glob(f"*/{VERDICTS}"))
+FOLDERS = {"experiments": ROOT / "experiments", "configs": ROOT / "configs", "docs": ROOT / "docs"}
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The site of results/."""
+    plugins.load()
+    folder = tmp_path_factory.mktemp("site") / "site"
+    built = build([RESULTS], folder, results=RESULTS, **FOLDERS)
+    assert built.runs == len(RUNS)
+    assert built.faults == ()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def read(site):
+    return pages(site)
+
+
+@pytest.fixture
+def run(tmp_path):
+    """The folder of one accepted run, to be damaged."""
+    plugins.load()
+    folder = tmp_path / "out" / "mzyk_table1"
+    shutil.copytree(RESULTS / "mzyk_table1", folder)
+    return folder
+
+
+def pages_of(folder):
+    """The page of a run and the front page of its site alone, by their paths, and what is wrong with it."""
+    of_run = Run(folder.name, RunFolder(folder), RESULTS)
+    sources = Sources((of_run,), **FOLDERS)
+    made = [page for module in (runs, front) for part in module.parts(sources) for page in part.make()]
+    return {page.path: rendered(page).html for page in made}, of_run.facts.faults
+
+
+def page_of(folder):
+    """The page of a run as a browser reads it."""
+    made, _ = pages_of(folder)
+    return Reader(made[run_page(folder.name)])
+
+
+def rewritten(run, change):
+    """Change run.json of a run, and seal it again as if it had been written so."""
+    folder = RunFolder(run)
+    content = folder.run()
+    assert content is not None
+    change(content)
+    if isinstance(content.get("provenance"), dict) and "files" in content:
+        content["provenance"].pop("sha256", None)
+        folder.seal(content)
+    else:
+        (run / RUN).write_text(json.dumps(content), encoding="utf-8")
+
+
+def test_no_link_is_dead_and_no_anchor(site, read):
+    assert len(read) > 2 * len(RUNS)
+    assert dead_links(site, read) == []
+
+
+def test_the_site_needs_no_network(site):
+    for path in [*site.rglob("*.html"), *site.glob("static/*")]:
+        text = path.read_text(encoding="utf-8")
+        assert "//cdn" not in text
+        reader = Reader(text) if path.suffix == ".html" else None
+        for element in reader.elements if reader else ():
+            loads = element["tag"] in ("script", "img", "link", "iframe", "source")
+            address = element["attributes"].get("src") or element["attributes"].get("href") or ""
+            assert not (loads and ":" in address), (path, address)
+
+
+def test_pages_are_small(site):
+    sizes = {path.name: path.stat().st_size for path in site.rglob("*.html")}
+    assert {name: size for name, size in sizes.items() if size >= MOST_BYTES} == {}
+
+
+def test_no_page_has_an_anchor_twice(read):
+    for page, reader in read.items():
+        assert sorted(set(reader.ids)) == sorted(reader.ids), page
+
+
+@pytest.mark.parametrize("config", JUDGED)
+def test_every_printed_number_stands_with_ours_and_its_verdict(read, config):
+    """And opens to its interval, the trials behind it and the command that shows it."""
+    with (RESULTS / config / VERDICTS).open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    page = read[f"runs/{config}.html"]
+    buttons = page.of("button", class_="number")
+    details = {element["attributes"]["id"]: element for element in page.of("div", class_="detail")}
+    assert len(buttons) == len(rows)
+    by_id = {button["attributes"]["popovertarget"]: button for button in buttons}
+    for i, row in enumerate(rows):
+        said = " ".join(by_id[f"n{i + 1}"]["text"].split())
+        assert said.startswith(f"printed {row['printed']} {SIGNS[row['verdict']]}, {row['verdict']}, ours ")
+        detail = " ".join(details[f"n{i + 1}"]["text"].split())
+        for text in (row["table"], row["row"], row["quantity"], row["printed"], row["interval"]):
+            assert " ".join(text.split()) in detail
+        assert f"hident run {config}" in detail
+        assert "trials" in detail
+    assert len(page.of("svg", class_="trials")) == len(rows)
+
+
+def test_every_table_of_the_ledger_stands_on_the_front_page(read):
+    front = read["index.html"]
+    rows = [element for element in front.of("tr") if "data-verdict" in element["attributes"]]
+    with_numbers = {(run, row["table"]) for run in JUDGED for row in rows_of(run) if row["mark"] == ""}
+    assert len(rows) == len(with_numbers)
+    words = {word for row in rows for word in row["attributes"]["data-verdict"].split("|")}
+    assert words == set(WORDS)
+    methods = {option["text"] for option in front.of("option")}
+    assert {"kernel", "two_stage", "iterative_wiener"} <= methods
+
+
+def rows_of(config):
+    with (RESULTS / config / VERDICTS).open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_differences_stand_beside_their_reasons(read):
+    page = read["runs/mzyk_table1.html"]
+    [first, second] = page.of("div", class_="reason")
+    assert "falls more slowly than h ~ N^-1/5 allows" in first["text"]
+    assert "printed 4.42, ours 2.807 [2.245, 3.528]" in " ".join(first["text"].split())
+    assert "9.06" in second["text"]
+    assert "4.87" in second["text"]
+
+
+def test_a_page_says_where_the_numbers_come_from_and_how_to_make_them_again(read):
+    page = read["runs/mzyk_table1.html"]
+    facts = dict(zip(page.text_of("dt"), page.text_of("dd"), strict=True))
+    run = json.loads((RESULTS / "mzyk_table1" / RUN).read_bytes())
+    assert facts["seed"] == "2009"
+    assert facts["arithmetic"] == run["provenance"]["arithmetic"]["identity"]
+    assert run["provenance"]["git_commit"] in facts["commit"]
+    code = page.text_of("code")
+    for command in ("hident run mzyk_table1", "hident power mzyk_table1", "hident compare out results"):
+        assert command in code
+    entries = "\n".join(element["text"] for element in page.of("pre"))
+    assert "@article{mzyk2009," in entries
+    assert "10.1109/LSP.2009.2024795" in entries
+
+
+def test_alternatives_stand_with_what_they_change_and_what_the_table_makes_of_them(read):
+    rows = [
+        " ".join(row["text"].split())
+        for row in read["runs/mzyk_table1.html"].of("tr")
+        if "pole 0.6 for 0.8" in row["text"]
+    ]
+    assert rows == ["pole 0.6 for 0.8system.linear.a: [0.6]6 of 240.00014✓ rejects it"]
+
+
+def test_each_key_of_a_configuration_leads_to_its_meaning(read):
+    links = {
+        (element["text"], element["attributes"]["href"]) for element in read["runs/mzyk_table1.html"].of("a")
+    }
+    assert ("bandwidth", "../components/estimator/kernel.html#key-bandwidth") in links
+    assert ("h0", "../components/estimator/kernel.html#key-bandwidth.h0") in links
+    assert ("order", "../components/estimator/instrumental_variables.html#key-order") in links
+    assert ("trials", "../components/file.html#key-trials") in links
+    assert ("kind", "../components/metric/mise.html") in links
+
+
+@pytest.mark.parametrize("config", RUNS)
+def test_the_configuration_on_a_page_is_the_yaml_of_what_was_run(config):
+    plugins.load()
+    resolved = json.loads((RESULTS / config / RUN).read_bytes())["experiment"]["resolved"]
+    lines = configuration.lines(resolved)
+    assert len(lines) < configuration.MOST_LINES
+    text = "\n".join(f"{line.before}{line.key}{line.after}" for line in lines)
+    assert read_leniently(Path("shown.yaml"), text.encode()).data == resolved
+    assert any(line.target.startswith("components/estimator/") for line in lines)
+
+
+def test_the_same_results_give_the_same_bytes(site, tmp_path):
+    again = tmp_path / "elsewhere" / "other"
+    build([RESULTS], again, results=RESULTS, **FOLDERS)
+    assert digests(again) == digests(site)
+
+
+def digests(folder):
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def test_pages_are_kept_until_what_they_are_made_of_changes(run, tmp_path):
+    other = tmp_path / "out" / "wang_table2"
+    shutil.copytree(RESULTS / "wang_table2", other)
+    both = [tmp_path / "out"]
+    first = build(both, tmp_path / "site", results=RESULTS, **FOLDERS)
+    before = digests(tmp_path / "site")
+    second = build(both, tmp_path / "site", results=RESULTS, **FOLDERS)
+    assert (first.made, second.made) == (first.pages, 0)
+    assert digests(tmp_path / "site") == before
+    rewritten(run, lambda content: content["experiment"]["resolved"].update(title="Renamed"))
+    third = build(both, tmp_path / "site", results=RESULTS, **FOLDERS)
+    changed = {name for name, digest in digests(tmp_path / "site").items() if before[name] != digest}
+    assert {"runs/index.html", "runs/mzyk_table1.html"} <= changed
+    assert not {"runs/wang_table2.html", "handbook/verdicts.html"} & changed
+    assert 0 < third.made < third.pages
+
+
+def test_what_is_no_longer_shown_is_removed(run, tmp_path):
+    build([run], tmp_path / "site", results=RESULTS, **FOLDERS)
+    kept = tmp_path / "site" / "runs" / "mine.txt"
+    kept.write_text("mine")
+    renamed = run.rename(run.with_name("renamed"))
+    build([renamed], tmp_path / "site", results=RESULTS, **FOLDERS)
+    assert not (tmp_path / "site" / "runs" / "mzyk_table1.html").exists()
+    assert not (tmp_path / "site" / "runs" / "mzyk_table1").exists()
+    assert (tmp_path / "site" / "runs" / "renamed.html").exists()
+    assert kept.read_text() == "mine"
+
+
+def test_a_folder_of_other_files_is_not_written_to(run, tmp_path):
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "thesis.tex").write_text("mine")
+    with pytest.raises(ConfigError, match="site holds what is no site: name another folder with --out"):
+        build([run], tmp_path / "site", results=RESULTS, **FOLDERS)
+    assert [path.name for path in (tmp_path / "site").iterdir()] == ["thesis.tex"]
+
+
+def test_an_interrupted_build_is_gone_on_with(run, tmp_path, monkeypatch):
+    """Also in the folder that one stands in."""
+    (tmp_path / "site").mkdir()
+    monkeypatch.chdir(tmp_path / "site")
+    write, written = module._write, []
+
+    def interrupted(*arguments):
+        written.append(arguments)
+        if len(written) == 5:
+            raise KeyboardInterrupt
+        write(*arguments)
+
+    monkeypatch.setattr(module, "_write", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        build([run], Path(), results=RESULTS, **FOLDERS)
+    monkeypatch.setattr(module, "_write", write)
+    assert 0 < len(list((tmp_path / "site").rglob("*.*"))) < 20
+    build([run], Path(), results=RESULTS, **FOLDERS)
+    assert dead_links(tmp_path / "site", pages(tmp_path / "site")) == []
+
+
+def test_a_folder_without_runs_is_nothing_to_show(tmp_path):
+    with pytest.raises(NothingToCompare, match="empty holds no run"):
+        (tmp_path / "empty").mkdir()
+        build([tmp_path / "empty"], tmp_path / "site", **FOLDERS)
+    assert not (tmp_path / "site").exists()
+
+
+def test_of_two_runs_of_one_name_the_first_is_shown(run, tmp_path):
+    built = build([run, RESULTS / "mzyk_table1"], tmp_path / "site", results=RESULTS, **FOLDERS)
+    assert built.runs == 1
+    assert built.left_out == (f"{RESULTS / 'mzyk_table1'}: {run} is shown",)
+
+
+EVIL = '<script>alert("it\'s")</script> & C:\\new\\table {{ 7 * 7 }}'
+
+
+def test_names_and_texts_are_shown_as_they_are(run, tmp_path):
+    """In titles, names of estimators and of tables, records, reasons and in the name of the folder."""
+    run = run.rename(run.with_name("a \"b\" <i>'c' #1 100%"))
+
+    def change(content):
+        resolved = content["experiment"]["resolved"]
+        resolved["title"] = EVIL
+        content["experiment"]["records"] = [EVIL]
+        content["provenance"]["cpu"] = EVIL
+        resolved["estimators"][EVIL] = {"kind": EVIL}
+        resolved["figures"] = {EVIL: {"kind": EVIL}, **resolved["figures"]}
+        resolved["alternatives"]["pole 0.6 for 0.8"] = {EVIL: EVIL}
+
+    for name in (VERDICTS, "table.md", "table.csv"):
+        text = (run / name).read_text(encoding="utf-8")
+        for was in ("Table I", "filtered series (16)", "MISE"):
+            text = text.replace(was, EVIL.replace("|", "").replace('"', "") if name != "table.md" else EVIL)
+        (run / name).write_text(text, encoding="utf-8")
+    rewritten(run, change)
+    built = build([run], tmp_path / "site", results=RESULTS, **FOLDERS)
+    every_page = pages(tmp_path / "site")
+    assert dead_links(tmp_path / "site", every_page) == []
+    read = every_page[run_page(run.name)]
+    scripts = [element for element in read.of("script") if "src" not in element["attributes"]]
+    assert scripts == []
+    assert read.text_of("h1") == [EVIL]
+    assert read.text_of("title") == [f"{EVIL} · hident"]
+    every = " ".join(element["text"] for element in read.elements if element["tag"] == "main")
+    assert every.count("<script>alert") > 10
+    assert "49" not in " ".join(read.text_of("h1"))
+    assert built.runs == 1
+
+
+def test_a_long_table_leaves_the_page_short(run):
+    """10^4 rows in table.md and in timing.csv, 10^4 printed numbers, axes of 10^4 labels."""
+    text = (run / "table.md").read_text(encoding="utf-8")
+    row = "| 3000 | 2.81 |  4.42 ! | 0.269 |  0.22 ? | 2.69 |  4.87 ! | 1.34 |  1.25 ~ |\n"
+    (run / "table.md").write_text(text.replace(row, 10_000 * row, 1), encoding="utf-8")
+    timing = "samples,estimator,fits\n" + "".join(f"{i},kernel (4),7\n" for i in range(10_000))
+    (run / "timing.csv").write_text(timing, encoding="utf-8")
+    header, *numbers = (run / VERDICTS).read_text(encoding="utf-8").splitlines()
+    many = [number.replace("N=", f"{i} N=") for i in range(500) for number in numbers[:20]]
+    (run / VERDICTS).write_text("\n".join([header, *many, ""]), encoding="utf-8")
+    header, *rows = (run / "table.csv").read_text(encoding="utf-8").splitlines()
+    failed = [f"{i},kernel (4),mise,200,1,,,,,,,," for i in range(10_000)]
+    (run / "table.csv").write_text("\n".join([header, *rows, *failed, ""]), encoding="utf-8")
+    rewritten(
+        run, lambda content: content["experiment"]["resolved"]["cases"].update(samples=[*range(10_000)])
+    )
+    made, faults = pages_of(run)
+    assert faults == ()
+    assert max(len(html.encode()) for html in made.values()) < MOST_BYTES
+    read = Reader(made[run_page(run.name)])
+    said = read.text_of("p")
+    assert len(read.of("button", class_="number")) == tables.MOST_NUMBERS
+    assert "9900 more printed numbers stand in verdicts.csv." in said
+    assert any(text.endswith("more rows stand in table.md.") for text in said)
+    assert any(text.endswith("more rows stand in timing.csv.") for text in said)
+    assert any(text.endswith("more rows stand in table.csv.") for text in said)
+
+
+DAMAGE = {
+    "run.json is missing: the run did not end": lambda run: (run / RUN).unlink(),
+    "run.json cannot be read": lambda run: (run / RUN).write_bytes(b'{"experiment": '),
+    "run.json is not that of a run": lambda run: (run / RUN).write_bytes(b'{"experiment": 7}'),
+    "run.json is not as it was written": lambda run: (run / RUN).write_text(
+        (run / RUN).read_text().replace('"seed": 2009', '"seed": 2010')
+    ),
+    "mise.png is missing": lambda run: (run / "mise.png").unlink(),
+    "mise.png is not as it was written": lambda run: (run / "mise.png").write_bytes(b"GIF"),
+    "verdicts.csv is missing": lambda run: (run / VERDICTS).unlink(),
+    "verdicts.csv is not as it was written": lambda run: (run / VERDICTS).write_bytes(b"\xff\x00"),
+    "trials.csv.xz is missing": lambda run: (run / "trials.csv.xz").unlink(),
+    "trials.csv.xz is not as it was written": lambda run: (run / "trials.csv.xz").write_bytes(b""),
+    "table.csv is not as it was written": lambda run: (run / "table.csv").write_bytes(b'a,"b\n\xff'),
+    "table.md is not as it was written": lambda run: (run / "table.md").write_text("| a |\n## b\n| c | d"),
+    "trials crashed: crashes.txt has the tracebacks": lambda run: (run / "crashes.txt").write_text("Oh"),
+    "mise.png could not be drawn": lambda run: rewritten(run, lambda c: c.update(undrawn=["mise.png"])),
+    "3 trials were ended by the clock, and count as failed": lambda run: rewritten(
+        run, lambda content: content.update(timed_out={"trials": 3, "trial_timeout": 1.0})
+    ),
+}
+
+
+@pytest.mark.parametrize("said", DAMAGE)
+def test_what_is_damaged_or_missing_is_said_on_the_page(run, said):
+    DAMAGE[said](run)
+    made, faults = pages_of(run)
+    read, first = Reader(made[run_page(run.name)]), Reader(made["index.html"])
+    assert said in faults
+    assert said in read.of("div", class_="fault")[0]["text"]
+    assert read.of("h1")
+    assert "Incomplete or damaged: mzyk_table1" in " ".join(
+        first.of("div", class_="fault")[0]["text"].split()
+    )
+
+
+def test_alternatives_that_are_altered_are_damage_and_those_that_are_missing_are_none(run, tmp_path):
+    """Nobody has to run the alternatives before there is something to look at."""
+    lonely = Run(run.name, RunFolder(run), run.parent)
+    assert lonely.facts.faults == ()
+    assert lonely.facts.verdicts is not None
+    assert "hident power mzyk_table1" in lonely.facts.verdicts.stale[0]
+    shutil.copytree(RESULTS / "power" / "mzyk_table1", run.parent / "power" / "mzyk_table1")
+    (run.parent / "power" / "mzyk_table1" / "numbers.csv").write_text("table\n")
+    damaged = Run(run.name, RunFolder(run), run.parent)
+    assert damaged.facts.faults == ("power/mzyk_table1/numbers.csv is not as it was written",)
+
+
+def every_place(content, path=()):
+    """The places of a JSON document, down to the third level."""
+    yield path
+    if isinstance(content, dict) and len(path) < 4:
+        for key, value in content.items():
+            yield from every_place(value, (*path, key))
+
+
+CONTENT = json.loads((RESULTS / "mzyk_table1" / RUN).read_bytes())
+
+
+@pytest.mark.parametrize("value", [None, 7, "x", [1], {"a": 1}], ids=str)
+def test_no_content_of_run_json_keeps_a_page_from_being_made(run, value):
+    for path in every_place(CONTENT):
+        content = json.loads(json.dumps(CONTENT))
+        place = content
+        for key in path[:-1]:
+            place = place[key]
+        if path:
+            place[path[-1]] = value
+        else:
+            content = value
+        (run / RUN).write_text(json.dumps(content), encoding="utf-8")
+        made, faults = pages_of(run)
+        assert faults, path
+        assert len(made) == 3
+
+
+def test_the_program_says_where_the_site_is_and_what_is_wrong(lab):
+    lab.run()
+    done = lab.hident("report", "out")
+    assert "1 runs on" not in done.stdout
+    assert "1 run on" in done.stdout
+    assert done.stdout.splitlines()[-1] == (lab.folder / "site" / "index.html").as_uri()
+    again = lab.hident("report", "out/tiny", "--out", "site")
+    assert ", none of them made anew" in again.stdout
+    (lab.folder / "out/tiny/table.md").unlink()
+    broken = lab.hident("report", code=1)
+    assert "unsound: out/tiny: table.md is missing" in broken.stdout
+    assert "holds no run" in lab.hident("report", "elsewhere", code=4).stderr
+    assert lab.hident("report", "--out", "tiny.yaml", code=2).stderr.startswith("error: tiny.yaml holds what")
+
+
+def test_the_picture_of_the_ledger_has_every_table(site):
+    text = (site / "ledger.svg").read_text(encoding="utf-8")
+    for config, table in {(run, row["table"]) for run in JUDGED for row in rows_of(run) if not row["mark"]}:
+        assert f"{table} ({config})" in text.replace("&amp;", "&")
+    assert text.startswith("<svg xmlns")
+
+
+def test_the_picture_in_the_readme_is_that_of_the_accepted_results(site):
+    """`make ledger` writes it anew."""
+    assert (ROOT / "docs" / "ledger.svg").read_bytes() == (site / "ledger.svg").read_bytes()
+    assert "docs/ledger.svg" in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_a_bar_has_a_length_for_each_verdict_and_says_it_in_words():
+    bar = drawings.bar({"exact": 1, "differs": 3}, 100)
+    assert 'aria-label="1 exact, 3 differs"' in bar
+    assert bar.count('width="25"') == bar.count('width="75"') == 2
