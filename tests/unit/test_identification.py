@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from hident.errors import EstimationError
 from hident.estimators.prediction_error.criterion import Data
 from hident.identification.bootstrap import bootstrap
 from hident.identification.candidates import STRUCTURES, Functions, Orders, chain, orders_of
+from hident.identification.continuation import continued, resumed
 from hident.identification.identify import Trial, first_lag, identify, near_the_best, preferred, simplest
 from hident.identification.split import quiet_beginning, split
 from hident.linear_blocks import TransferFunction
@@ -226,6 +228,40 @@ def test_a_bootstrap_spreads_as_the_standard_errors_say():
     assert spread == pytest.approx(errors["se_a_1"], rel=0.4)
     same = bootstrap(found, 2)
     assert same.chains == again.chains[:2]
+
+
+class TestGoingOn:
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def fits():
+        u, y = tank(3000, noise=0.05)
+        spec = chain("hammerstein", [Orders(2, 1, 1)], [{"kind": "cubic_spline", "knots": 8}])
+        part, whole = (Data(u[:n], y[:n], (slice(0, n),), "settled", 20) for n in (2400, 3000))
+        return spec.structure(), spec.identify(record_of(u[:2400], y[:2400])), part, whole
+
+    def test_with_the_same_functions_few_steps_are_left(self, fits):
+        structure, fit, _, whole = fits
+        again = continued(structure, fit.point.parameters.chain, whole)
+        resumed_ = resumed(structure, fit.point.parameters, whole)
+        # Knots follow the samples: those of all are not quite those of a part.
+        assert resumed_.point.loss == pytest.approx(again.point.loss, rel=1e-2)
+        assert resumed_.iterations < again.iterations
+        basis, old = (one.point.parameters.chain.blocks[0].basis for one in (resumed_, fit))
+        assert basis == old
+
+    def test_where_many_samples_lie_beyond_the_functions_are_made_anew(self, fits):
+        structure, fit, _, whole = fits
+        wider = replace(whole, u=1.5 * whole.u)
+        again = resumed(structure, fit.point.parameters, wider)
+        low, high = again.point.parameters.chain.blocks[0].range
+        assert low < np.min(wider.u) < np.max(wider.u) < high
+
+    def test_the_ranges_are_those_of_other_data(self, fits):
+        structure, fit, part, whole = fits
+        wider = replace(whole, u=1.5 * whole.u)
+        again = continued(structure, fit.point.parameters.chain, part, whole=wider)
+        assert again.point.parameters.chain.blocks[0].range[1] > np.max(wider.u)
+        assert again.point.data is part
 
 
 def test_two_linear_blocks_share_the_order_and_the_last_has_the_delay():
