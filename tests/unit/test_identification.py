@@ -230,6 +230,11 @@ def test_a_bootstrap_spreads_as_the_standard_errors_say():
     assert same.chains == again.chains[:2]
 
 
+def function_of(fit):
+    (function,) = fit.point.parameters.chain.static
+    return function
+
+
 class TestGoingOn:
     @pytest.fixture(scope="class")
     @staticmethod
@@ -245,22 +250,21 @@ class TestGoingOn:
         resumed_ = resumed(structure, fit.point.parameters, whole)
         # Knots follow the samples: those of all are not quite those of a part.
         assert resumed_.point.loss == pytest.approx(again.point.loss, rel=1e-2)
-        assert resumed_.iterations < again.iterations
-        basis, old = (one.point.parameters.chain.blocks[0].basis for one in (resumed_, fit))
-        assert basis == old
+        assert resumed_.iterations <= again.iterations <= 3
+        assert function_of(resumed_).basis == function_of(fit).basis != function_of(again).basis
 
     def test_where_many_samples_lie_beyond_the_functions_are_made_anew(self, fits):
         structure, fit, _, whole = fits
         wider = replace(whole, u=1.5 * whole.u)
         again = resumed(structure, fit.point.parameters, wider)
-        low, high = again.point.parameters.chain.blocks[0].range
+        low, high = function_of(again).range
         assert low < np.min(wider.u) < np.max(wider.u) < high
 
     def test_the_ranges_are_those_of_other_data(self, fits):
         structure, fit, part, whole = fits
         wider = replace(whole, u=1.5 * whole.u)
         again = continued(structure, fit.point.parameters.chain, part, whole=wider)
-        assert again.point.parameters.chain.blocks[0].range[1] > np.max(wider.u)
+        assert function_of(again).range[1] > np.max(wider.u)
         assert again.point.data is part
 
 
