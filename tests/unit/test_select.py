@@ -499,6 +499,10 @@ class TestOfAChain:
         assert np.array_equal(by[1].bic, by[2].criterion)
         assert by[1].near is None
 
+    def test_of_a_piecewise_linear_function_all_values_are_parameters(self):
+        spec = hi.PredictionError(blocks=[hi.PiecewiseLinearBlock(knots=6), hi.LinearBlock(nb=2, nf=1, nk=1)])
+        assert spec.free_parameters() == 6 + 3 - 1
+
     def test_a_record_without_a_validation_part_is_refused(self):
         chosen = hi.Select(by="validation", over=ORDERS, estimator=CHAIN)
         with pytest.raises(EstimationError, match="'by: validation' is on the record's validation part, and"):

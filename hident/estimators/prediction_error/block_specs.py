@@ -53,6 +53,10 @@ class BlockSpec(Component):
         """How many numbers are to be found, at least."""
         raise NotImplementedError
 
+    def numbers(self) -> int:
+        """How many numbers are to be found, of a signal with enough levels to tell them."""
+        return self.fewest_numbers()
+
 
 class DynamicSpec(BlockSpec):
     """Base of the linear blocks."""
@@ -211,6 +215,10 @@ class StaticSpec(BlockSpec):
         # A basis may take its knots from a few levels.
         x = np.array([0.0, 1.0])
         basis = self.basis_for(x, 0.0, 1.0)
+        return len(basis.shape) + basis.size
+
+    def numbers(self) -> int:
+        basis = self.basis_for(np.linspace(0.0, 1.0, _POINTS), 0.0, 1.0)
         return len(basis.shape) + basis.size
 
     def is_fixed(self) -> bool:

@@ -109,7 +109,8 @@ class PredictionError(AtOneInterval):
     def free_parameters(self) -> int:
         # The gain of each linear block is one with a static function, unless a block is held.
         gains = len(self._places()) - self._kept_gains() if len(self._places()) < len(self.blocks) else 0
-        return self._count() - (0 if any(block.held for block in self.blocks) else gains)
+        count = self.noise.ar + self.noise.ma + sum(one.numbers() for one in self.blocks if not one.held)
+        return count - (0 if any(block.held for block in self.blocks) else gains)
 
     def _kept_gains(self) -> int:
         """How many linear blocks keep their gain: before the first static one, of functions with a unit."""
