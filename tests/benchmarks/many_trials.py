@@ -127,6 +127,9 @@ class _Seen:
         try:
             for one in (self.main, *self.main.children(recursive=True)):
                 self.seconds[one.pid] = sum(one.cpu_times()[:2])
+                # Workers are forked by another process: what this one forks begins with its own peak.
+                if one.ppid() == self.main.pid:
+                    continue
                 status = Path(f"/proc/{one.pid}/status").read_text(encoding="utf-8")
                 if found := re.search(r"VmHWM:\s*(\d+) kB", status):
                     self._peaks[one.pid] = 1024 * int(found[1])
@@ -135,7 +138,7 @@ class _Seen:
 
     @property
     def peaks(self) -> tuple[int, int]:
-        """Peak bytes of the main process, and of the largest other one."""
+        """Peak bytes of the main process, and of the largest worker."""
         others = [peak for pid, peak in self._peaks.items() if pid != self.main.pid]
         return self._peaks[self.main.pid], max(others, default=0)
 
