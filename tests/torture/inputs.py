@@ -291,8 +291,8 @@ def _validate_afresh(path: Path, timed: bool) -> None:
         *said, kilobytes = [os.pread(file.fileno(), 10**7, 0).decode() for file in (out, err, peak)]
     _check_said(path, process.returncode, *said)
     seconds, used = usage.ru_utime + usage.ru_stime, int(kilobytes) * 1024
-    limit = (_SECONDS if process.returncode else _SOUND_SECONDS) + 3
-    assert not timed or seconds < limit, f"took {seconds:.1f} s with the start"
+    most = (_SECONDS if process.returncode else _SOUND_SECONDS) + 3
+    assert not timed or seconds < most, f"took {seconds:.1f} s with the start"
     assert used < _BYTES, f"took {used / 1e6:.0f} MB"
 
 
