@@ -12,8 +12,8 @@ from hident.block_chain import BlockChain
 from hident.estimators.prediction_error.criterion import FREE, Point
 from hident.estimators.prediction_error.gauge import normalised
 from hident.estimators.prediction_error.parameters import LinearStructure, Parameters
-from hident.numerics.autoregression import yule_walker
-from hident.numerics.parts import following, in_each
+from hident.numerics.autoregression import ArModel, yule_walker
+from hident.numerics.parts import Parts, following, in_each
 from hident.static_functions import StaticFunction
 
 _STEP = 1e-6
@@ -43,8 +43,9 @@ def standard_errors(point: Point) -> tuple[Mapping[str, float], ...]:
     """The standard error of each number of each block that is not held, in the normal form.
 
     With H the Hessian of half the sum of squares and S the covariance of the gradient, which follows from an
-    autoregressive model of the residuals, the covariance is H^+ S H^+ (Ljung, 9.2; White 1982, Econometrica
-    50, 1), carried to the normal form by its derivative: what is free drops out there.
+    autoregressive model of the residuals, its order by Schwarz's criterion (Den Haan and Levin 1997, Handbook
+    of Statistics 15, 299), the covariance is H^+ S H^+ (Ljung, 9.2; White 1982, Econometrica 50, 1), carried
+    to the normal form by its derivative: what is free drops out there.
     """
     free = point.parameters.free
     derivative = _derivative(point)
@@ -76,7 +77,7 @@ def _covariance(point: Point) -> Array:
     count = len(point.residuals)
     freedom = max(count - int(np.count_nonzero(known)), 1)
     experiments = following(point.data.experiments, point.data.n_init)
-    noise = yule_walker(point.residuals, int(min(10 * np.log10(count), count // 10)), experiments)[-1]
+    noise = _residual_model(point.residuals, experiments)
 
     def coloured(piece: Array) -> Array:
         return np.asarray(lfilter([1.0], np.r_[1.0, -noise.a], piece[:, ::-1], axis=1))
@@ -85,6 +86,20 @@ def _covariance(point: Point) -> Array:
     rows = in_each(experiments, coloured, rows, axis=1)
     meat = noise.variance * count / freedom * (rows @ rows.T)
     return np.asarray(inverse @ meat @ inverse / np.outer(lengths, lengths))
+
+
+def _residual_model(residuals: Array, experiments: Parts) -> ArModel:
+    """The autoregression of residuals (N,) that Schwarz's criterion chooses.
+
+    Of an order that is always high, the spectrum falls where the fit has taken its share: where the input has
+    most of its power, and the standard errors need it.
+    """
+    count = len(residuals)
+    models = yule_walker(residuals, int(min(10 * np.log10(count), count // 10)), experiments)
+    left = [one for one in models if one.variance > 0.0] or models[:1]
+    if len(left) == 1:
+        return left[0]
+    return min(left, key=lambda one: count * np.log(one.variance) + np.log(count) * len(one.a))
 
 
 def _order(point: Point) -> list[int]:
