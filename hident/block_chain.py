@@ -125,6 +125,25 @@ class BlockChain:
         return self.signals(u, start, states)[-1]
 
 
+def free_response(block: TransferFunction, state: Array, samples: int) -> Array:
+    """What a state (n,) at the first sample, as ``zi`` of lfilter, adds to the output of a block: (samples,).
+
+    With Z = z_0 + z_1 q^-1 + ... it is the impulse response of Z/F.
+
+    Examples
+    --------
+    >>> free_response(TransferFunction(b=(1.0,), a=(0.5,)), np.array([2.0]), 3)
+    array([2. , 1. , 0.5])
+    """
+    from scipy.signal import lfilter
+
+    impulse = np.zeros(samples)
+    if not len(state):
+        return impulse
+    impulse[:1] = 1.0
+    return np.asarray(lfilter(state, block.denominator, impulse))
+
+
 def settled_state(b: Array, denominator: Array) -> Array:
     """The state (of a direct form II transposed) to which the block settles under a constant input of 1.
 

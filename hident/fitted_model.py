@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from hident.arrays import Array
 from hident.block_chain import BlockChain, Start
+from hident.initial_states import initial_states
 from hident.numerics.parts import in_each
 from hident.records import Record
 from hident.static_functions import StaticFunction
@@ -38,8 +40,31 @@ class NoiseModel:
 
 
 @dataclass(frozen=True)
+class Begun:
+    """An experiment of a fit, and the state in which each linear block began it.
+
+    ``sha256`` is of its samples (:func:`digest`), ``states`` are those of :meth:`BlockChain.signals`, beyond
+    the settled ones.
+    """
+
+    sha256: str
+    states: tuple[tuple[float, ...], ...]
+
+
+def digest(u: Array, y: Array) -> str:
+    """The SHA-256 of the input and the output (N,) of an experiment, as doubles of 8 bytes, lowest first."""
+    samples = np.concatenate((u, y)).astype("<f8")
+    return hashlib.sha256(samples.tobytes()).hexdigest()
+
+
+@dataclass(frozen=True)
 class FittedModel:
     """A chain, how it starts, its noise, and what is known of how it was made.
+
+    ``start`` says what was before a record: nothing (``rest``), or the first input for ever (``settled``).
+    Where it is ``estimated``, the states of the linear blocks at the first sample come from the output: those
+    that the fit found for its own experiments (``begun``), for others the ones with which the first samples
+    are met best (:func:`hident.initial_states.initial_states`). An input alone begins settled.
 
     ``errors`` holds the standard errors of each block's numbers by their names (``b_0``, ``a_1``, ``c_1``,
     ``low``, ...) as far as they are known, ``ranges`` the least and the greatest input of each block in the
@@ -57,11 +82,17 @@ class FittedModel:
     """
 
     chain: BlockChain
-    start: Start = "settled"
+    start: Start | Literal["estimated"] = "settled"
     noise: NoiseModel = NoiseModel()
     errors: tuple[Mapping[str, float], ...] = ()
     ranges: tuple[tuple[float, float], ...] = ()
     about: Mapping[str, Any] = field(default_factory=dict)
+    begun: tuple[Begun, ...] = ()
+
+    @property
+    def past(self) -> Start:
+        """What was before an input of which no output is known."""
+        return "rest" if self.start == "rest" else "settled"
 
     def simulate(self, record: Record | Array) -> Array:
         """The noise-free output (N,) to a record's input, or to an input (N,).
@@ -69,9 +100,14 @@ class FittedModel:
         Each of the experiments of a record begins anew.
         """
         if not isinstance(record, Record):
-            return self.chain.response(record, self.start)
+            return self.chain.response(record, self.past)
         chain = self._for(record)
-        return in_each(record.experiments, lambda u: chain.response(u, self.start), record.u)
+        return in_each(
+            record.experiments,
+            lambda u, y: chain.response(u, self.past, self.states(u, y, chain)),
+            record.u,
+            record.y,
+        )
 
     def _for(self, record: Record) -> BlockChain:
         """The chain for a record's samples: continuous blocks have some at any interval."""
@@ -81,24 +117,45 @@ class FittedModel:
         return self.chain.every(dt)
 
     def every(self, dt: float) -> FittedModel:
-        """The model for samples every ``dt``, without its noise, which is one of its own samples.
+        """The model for samples every ``dt``, without what is of its own samples: its noise and states.
 
         Raises
         ------
         ValueError
             If a linear block is discrete, and works at its own interval.
         """
-        return self if dt == self.chain.dt else replace(self, chain=self.chain.every(dt), noise=NoiseModel())
+        if dt == self.chain.dt:
+            return self
+        return replace(self, chain=self.chain.every(dt), noise=NoiseModel(), begun=())
 
-    def signals(self, record: Record) -> tuple[Array, ...]:
-        """The record's input (N,) and what stands behind each block; see :meth:`simulate`."""
-        return tuple(
-            np.concatenate(pieces)
-            for pieces in zip(
-                *(self._for(record).signals(record.u[part], self.start) for part in record.experiments),
-                strict=True,
-            )
-        )
+    def signals(self, record: Record | Array) -> tuple[Array, ...]:
+        """The input (N,) and what stands behind each block; see :meth:`simulate`."""
+        if not isinstance(record, Record):
+            return self.chain.signals(record, self.past)
+        chain = self._for(record)
+        pieces = [
+            chain.signals(u, self.past, self.states(u, y, chain))
+            for u, y in ((record.u[part], record.y[part]) for part in record.experiments)
+        ]
+        return tuple(np.concatenate(one) for one in zip(*pieces, strict=True))
+
+    def states(self, u: Array, y: Array, chain: BlockChain | None = None) -> tuple[Array, ...] | None:
+        """The states in which an experiment begins, beyond what :attr:`past` says; None if there are none.
+
+        ``chain`` are the blocks for its samples: by default those of the fit.
+        """
+        if self.start != "estimated":
+            return None
+        if (known := self.known(u, y)) is not None:
+            return tuple(np.array(state) for state in known.states)
+        return initial_states(chain or self.chain, u, y)
+
+    def known(self, u: Array, y: Array) -> Begun | None:
+        """The experiment of the fit that has these samples (N,); None if there is none."""
+        if not self.begun:
+            return None
+        sha256 = digest(u, y)
+        return next((one for one in self.begun if one.sha256 == sha256), None)
 
     def range_of(self, place: int) -> tuple[float, float] | None:
         """Where the block at this place was fitted: its inputs then, or else what its basis spans."""

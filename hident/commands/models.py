@@ -15,6 +15,7 @@ from hident.block_chain import BlockChain
 from hident.commands.measured import record_of
 from hident.errors import ConfigError, EstimationError
 from hident.fitted_model import FittedModel
+from hident.initial_states import showing
 from hident.models.convert import target
 from hident.models.formulas import formulas, time_unit
 from hident.models.model_file import load_model
@@ -154,9 +155,27 @@ class _Run:
         self.model, self.record, self.column, self.compare = model, record, column, compare
         self.steps, self.n_init = steps, n_init
         with np.errstate(all="ignore"):
-            self.signals = model.signals(record)
+            # Without a column to compare with, the output of the record means nothing.
+            self.signals = model.signals(record) if compare is not None else self._of_inputs()
             self.made = model.predict(record, steps) if steps else self.signals[-1]
         self.how = f"{steps}-step prediction" if steps else "simulation"
+
+    def _of_inputs(self) -> tuple[Array, ...]:
+        pieces = [self.model.signals(self.record.u[part]) for part in self.record.experiments]
+        return tuple(np.concatenate(one) for one in zip(*pieces, strict=True))
+
+    def _begun(self) -> str:
+        """How a model whose start is found begins each experiment."""
+        if self.compare is None:
+            return "begun settled to the first input: --compare tells the states at the first sample"
+        found = []
+        for part in self.record.experiments:
+            u, y = self.record.u[part], self.record.y[part]
+            if self.model.known(u, y) is not None:
+                found.append("that the fit found for these samples")
+            else:
+                found.append(f"with which the first {showing(self.model.chain, len(u))} samples are met best")
+        return f"begun with the states {' and '.join(dict.fromkeys(found))}"
 
     def check(self, data: str) -> None:
         """ConfigError if the output is not finite, or too few samples are left to compare."""
@@ -197,6 +216,7 @@ class _Run:
         chain, made, unit = self.model.chain, self.made, self._unit()
         lines = [
             f"{data}: {len(made)} samples of '{self.column}', {self.how} by {chain.structure}",
+            *([self._begun()] if self.model.start == "estimated" else []),
             f"output from {made.min():.5g} to {made.max():.5g}{unit}, mean {made.mean():.5g}",
         ]
         if self.compare is not None:

@@ -131,9 +131,9 @@ def initial_state(model: FittedModel, first: float) -> Array:
     array([3.])
     """
     states, x = [np.zeros(0)], np.array([float(first)])
-    for before, block in zip(model.chain.signals(x, model.start)[:-1], model.chain.blocks, strict=True):
+    for before, block in zip(model.chain.signals(x, model.past)[:-1], model.chain.blocks, strict=True):
         if isinstance(block, TransferFunction):
-            states.append(np.multiply(as_filter(block, settled=model.start == "settled").state, before[0]))
+            states.append(np.multiply(as_filter(block, settled=model.past == "settled").state, before[0]))
     return np.concatenate(states)
 
 

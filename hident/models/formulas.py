@@ -23,6 +23,11 @@ _SMALLEST = 15
 """The last decimal of which a standard error can tell anything."""
 _POWERS = 5
 """The highest degree of a polynomial that is also written in powers."""
+_STARTS = {
+    "settled": "settled to the first input",
+    "rest": "at rest before the first sample",
+    "estimated": "begun with the states that the first samples tell",
+}
 
 
 def formulas(model: FittedModel) -> str:
@@ -85,7 +90,7 @@ def _head(model: FittedModel) -> str:
         if chain.dt is None
         else f"sampling interval {chain.dt:g} {time_unit(model)}".strip()
     )
-    start = "settled to the first input" if model.start == "settled" else "at rest before the first sample"
+    start = _STARTS[model.start]
     lines = [
         f"{chain.structure}: {', '.join([' '.join(signals), clock, start] if signals else [clock, start])}"
     ]

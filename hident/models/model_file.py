@@ -18,7 +18,9 @@ Numbers are written with as many digits as give the same double again. A continu
 what its input is between the samples (``held`` or ``linear``). The ``functions`` of an ``expansion`` and the
 basis of a ``series`` are written as in a configuration; they were fitted between ``low`` and ``high``. A
 block also holds ``errors``, the standard errors of its numbers by name, and ``fitted_on``, the range of its
-input in the fit.
+input in the fit. Where ``start`` is ``estimated``, ``begun`` holds for each experiment of the fit the SHA-256
+of its samples, and the state of each linear block at the first of them (``zi`` of scipy.signal.lfilter, less
+that settled to the first input).
 
 ``about`` may hold anything. What other parts of hident look for there is checked: ``input`` and ``output``
 (names of columns), ``units`` (of ``input``, ``output`` and ``time``), ``data`` (the SHA-256 of each file),
@@ -43,7 +45,8 @@ from hident.config.spec import Count, NonEmpty, Of, Spec, canonical, plain
 from hident.config.suggest import did_you_mean, one_of
 from hident.config.yaml12 import Location
 from hident.errors import ConfigError
-from hident.fitted_model import FittedModel, NoiseModel
+from hident.fitted_model import Begun, FittedModel, NoiseModel
+from hident.initial_states import state_sizes
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 from hident.new_files import replacing
 from hident.sampled_blocks import Intersample, SampledTransferFunction
@@ -340,6 +343,11 @@ class _Noise(Spec):
     variance: _NotNegative
 
 
+class _Begun(Spec):
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    states: tuple[_Numbers, ...]
+
+
 class _Units(Spec):
     input: str = ""
     output: str = ""
@@ -369,7 +377,8 @@ class _Model(Spec):
     hident_model: int
     structure: str
     dt: Annotated[_Number, Field(gt=0)] | None
-    start: Literal["rest", "settled"]
+    start: Literal["rest", "settled", "estimated"]
+    begun: tuple[_Begun, ...] = ()
     blocks: NonEmpty[Annotated[_Block, PlainValidator(_block)]]
     noise: _Noise
     about: _About
@@ -393,6 +402,7 @@ def _encoded(model: FittedModel) -> dict[str, Any]:
             "structure": chain.structure,
             "dt": chain.dt,
             "start": model.start,
+            **({"begun": [vars(one) for one in model.begun]} if model.begun else {}),
             "blocks": blocks,
             "noise": {"ar": noise.ar, "ma": noise.ma, "variance": noise.variance},
             "about": model.about,
@@ -449,6 +459,7 @@ def _decoded(data: Mapping[str, Any], name: str) -> FittedModel:
         errors=_of_each([entry.errors for entry in read.blocks]),
         ranges=tuple(entry.fitted_on for entry in read.blocks if entry.fitted_on is not None),
         about=data["about"],
+        begun=tuple(Begun(one.sha256, one.states) for one in read.begun),
     )
 
 
@@ -496,7 +507,7 @@ def _misfits(read: _Model) -> Iterator[Problem]:
                 yield Problem(
                     ("blocks", i, "errors", number), f"unknown key{near} (allowed: {one_of(known)})"
                 )
-        if isinstance(block := blocks[-1], TransferFunction) and read.start == "settled":
+        if isinstance(block := blocks[-1], TransferFunction) and read.start != "rest":
             try:
                 with np.errstate(all="ignore"):
                     settled_state(np.asarray(block.b), block.denominator)
@@ -510,6 +521,16 @@ def _misfits(read: _Model) -> Iterator[Problem]:
     for i, (entry, name) in enumerate(zip(read.blocks, chain.names, strict=True)):
         if entry.name != name:
             yield Problem(("blocks", i, "name"), f"must be '{name}' in this place", entry.name)
+    if read.begun and read.start != "estimated":
+        yield Problem(("begun",), 'holds states, which only a model of "start": "estimated" has')
+    sizes = state_sizes(chain)
+    for i, one in enumerate(read.begun):
+        if (got := tuple(map(len, one.states))) != sizes:
+            yield Problem(
+                ("begun", i, "states"),
+                f"must have as many numbers as the states of the linear blocks, {list(sizes)}, "
+                f"not {list(got)}",
+            )
     if any(entry.fitted_on for entry in read.blocks):
         for i, entry in enumerate(read.blocks):
             if entry.fitted_on is None:

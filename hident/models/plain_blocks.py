@@ -104,7 +104,7 @@ def plain_blocks(model: FittedModel) -> tuple[PlainBlock, ...]:
     for name, block in zip(model.chain.names, model.chain.blocks, strict=True):
         with np.errstate(all="ignore"):
             found.append(
-                as_filter(block, settled=model.start == "settled")
+                as_filter(block, settled=model.past == "settled")
                 if isinstance(block, TransferFunction)
                 else as_curve(block)
             )

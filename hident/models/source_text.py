@@ -32,7 +32,7 @@ def facts(model: FittedModel) -> list[str]:
     said += [f"The {name} is in {units[name]}." for name in ("input", "output") if units.get(name)]
     said.append(
         "Before the first sample the input was zero, and so were all states."
-        if model.start == "rest"
+        if model.past == "rest"
         else "Before the first sample the input was its first value, and all blocks had settled to it."
     )
     for name, block in zip(chain.names, chain.blocks, strict=True):

@@ -27,6 +27,7 @@ LAYERS = (
     ("signals", "models"),
     ("systems", "measurements", "fitted_model", "model_output"),
     ("records", "plugins"),
+    ("initial_states",),
     ("block_chain", "second_order_sections"),
     ("sampled_blocks",),
     ("linear_blocks", "static_functions"),

@@ -166,13 +166,13 @@ WRONG = [
     (
         ("start",),
         "sett1ed",
-        ": start: must be 'rest' or 'settled'; did you mean 'settled'? (got 'sett1ed')",
+        ": start: must be 'rest', 'settled' or 'estimated'; did you mean 'settled'? (got 'sett1ed')",
     ),
     (
         ("strat",),
         "rest",
         ": strat: unknown key; did you mean 'start'? "
-        "(allowed: hident_model, structure, dt, start, blocks, noise, about)",
+        "(allowed: hident_model, structure, dt, start, begun, blocks, noise, about)",
     ),
     (("structure",), "L-N", ": structure: must be 'N-L', as the blocks are (got 'L-N')"),
     (("blocks",), [], ": blocks: must be a list of at least 1 (got [])"),

@@ -78,8 +78,8 @@ def structures(chain):
     ]
 
 
-def point_of(chain, data, noise=OUTPUT_ERROR):
-    return point_at(data, Parameters.of(structures(chain), chain), noise)
+def point_of(chain, data, noise=OUTPUT_ERROR, states=None):
+    return point_at(data, Parameters.of(structures(chain), chain, states=states), noise)
 
 
 def differences(point, step=1e-6):
@@ -97,14 +97,14 @@ def differences(point, step=1e-6):
 
 
 class TestDerivatives:
-    def check(self, chain, start, noise=OUTPUT_ERROR, n_init=7):
+    def check(self, chain, start, noise=OUTPUT_ERROR, n_init=7, states=None):
         rng = np.random.default_rng(5)
         u = rng.normal(0.3, 1.0, 150)
         parts = (slice(0, 90), slice(90, 150))
         y = np.concatenate([chain.response(u[part], start) for part in parts])
         # Not all of it can be met: coefficients that are solved for stay near their values.
         data = Data(u, y + 0.1 * np.std(y) * rng.normal(size=150), parts, start, n_init)
-        point = point_of(chain, data, noise)
+        point = point_of(chain, data, noise, states)
         rows, expected = point.rows(), differences(point)
         scale = np.max(np.abs(expected), axis=1, keepdims=True)
         # A hat function that no sample reaches changes nothing.
@@ -122,6 +122,18 @@ class TestDerivatives:
     @pytest.mark.parametrize("n_init", [0, 7])
     def test_of_the_noise(self, ar, ma, letters, n_init):
         self.check(chain_of(letters, "cubic_spline"), "settled", NoiseModel(ar, ma), n_init)
+
+    @pytest.mark.parametrize("letters", ["L", "NL", "LN", "LNL", "NLN", "LNLNL"])
+    @pytest.mark.parametrize("noise", [OUTPUT_ERROR, NoiseModel((0.6, -0.2), (0.5,))])
+    @pytest.mark.parametrize("start", STARTS)
+    def test_of_the_states(self, letters, noise, start):
+        chain, draws = chain_of(letters, "cubic_spline"), np.random.default_rng(8)
+        states = {
+            i: tuple(draws.normal(size=(2, max(2, len(block.a)))))
+            for i, block in enumerate(chain.blocks)
+            if isinstance(block, TransferFunction)
+        }
+        self.check(chain, start, noise, n_init=0, states=states)
 
     def test_the_gradient_of_the_loss_is_that_of_the_projected_one(self):
         data = Data(gaussian(300), gaussian(300, 1), (slice(0, 300),), "rest")

@@ -8,14 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hident.errors import EstimationError
+from hident.estimators.base import unknown_past
 from hident.estimators.prediction_error.criterion import Data, Point, least_squares, point_at
 from hident.estimators.prediction_error.descent import Descent, Status, descend
 from hident.estimators.prediction_error.excitation import require_excitation
 from hident.estimators.prediction_error.linear_start import stabilised
-from hident.estimators.prediction_error.parameters import Parameters
+from hident.estimators.prediction_error.parameters import LinearStructure, Parameters
 from hident.estimators.prediction_error.starts import starts
 from hident.estimators.prediction_error.structure import ChainStructure
 from hident.fitted_model import NoiseModel
+from hident.initial_states import initial_states
 from hident.linear_blocks import TransferFunction
 
 # The race: so many samples, and iterations of each start, then of the best of them.
@@ -25,6 +27,7 @@ _KEPT_OF_FIRST = 3
 _RACED_OF_SMOOTH, _KEPT_OF_SMOOTH, _SMOOTH_ITERATIONS = 6, 2, 12
 # Roots of the first noise model are no farther from 0.
 _FARTHEST_OF_NOISE = 0.99
+_MOST_STATES = 500
 # Two fits whose losses are nearer than this are one optimum.
 _SAME = 1e-3
 
@@ -55,14 +58,20 @@ def fit_chain(
     ma: int = 0,
     most_starts: int = 8,
     max_iterations: int = 100,
+    states: bool = False,
 ) -> ChainFit:
-    """Fit a chain to data, and then the noise with it.
+    """Fit a chain to data, then the ``states`` at the first samples and the noise with it, if asked for.
 
     Raises
     ------
     EstimationError
         If the input says too little, or no start can be made of the data.
     """
+    everything = data
+    if states:
+        # The search is not to be misled by what it does not know yet.
+        shortest = min(part.stop - part.start for part in data.experiments)
+        data = replace(data, n_init=max(data.n_init, unknown_past(shortest)))
     require_excitation(structure, data)
     first, second = (data.busiest(samples) for samples, _ in (_FIRST_HEAT, _SECOND_HEAT))
     points = distinct(all_starts(structure, first, data), most_starts)
@@ -86,7 +95,14 @@ def fit_chain(
     evaluations += sum(one.evaluations for one in second_heat)
     best, agreeing = second_heat[0], _agreeing(second_heat)
     iterations = best.iterations
-    if len(second.u) < len(data.u):
+    if states:
+        parameters = _with_states(best.point.parameters, everything)
+        # The first samples may reach farther than those of the search, once their states are known.
+        for _ in range(2):
+            [best] = _heat(structure, [parameters], everything, max_iterations)
+            parameters = best.point.parameters
+            evaluations, iterations = evaluations + best.evaluations, iterations + best.iterations
+    elif len(second.u) < len(data.u):
         [best] = _heat(structure, [best.point.parameters], data, max_iterations)
         evaluations, iterations = evaluations + best.evaluations, iterations + best.iterations
     if ar or ma:
@@ -166,6 +182,19 @@ def _heat(
     if not found:
         raise EstimationError("the output of every start is not finite on this record")
     return sorted(found, key=lambda one: one.point.loss)
+
+
+def _with_states(parameters: Parameters, data: Data) -> Parameters:
+    """The parameters with the states that meet the first samples of each experiment best."""
+    found = [initial_states(parameters.chain, data.u[part], data.y[part]) for part in data.experiments]
+    total = sum(len(state) for states in found for state in states)
+    if total > _MOST_STATES:
+        raise EstimationError(
+            f"the linear blocks have {total} states at the first samples of {len(found)} experiments, and at "
+            f"most {_MOST_STATES} can be found: leave first samples out by 'n_init' instead"
+        )
+    places = [i for i, one in enumerate(parameters.structures) if isinstance(one, LinearStructure)]
+    return replace(parameters, states={i: tuple(one[k] for one in found) for k, i in enumerate(places)})
 
 
 def _with_noise(point: Point, ar: int, ma: int) -> Point:

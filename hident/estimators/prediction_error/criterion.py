@@ -5,7 +5,9 @@
 A column of the Jacobian starts where its parameter acts and passes through the blocks behind it, like a
 signal: through a linear block as through a filter, through a static one times f'(x). With B/F as the block, x
 its input and y its output, the derivatives by its own parameters are d y/d b_i = q^-i (x/F) and
-d y/d f_i = -q^-i (y/F) (Ljung, System Identification, 2nd ed., 10.3).
+d y/d f_i = -q^-i (y/F) (Ljung, System Identification, 2nd ed., 10.3). Where the states z at the first sample
+are to be found, Z(q)/F(q) with Z = z_0 + z_1 q^-1 + ... is added to y: their columns are shifted impulse
+responses of 1/F.
 
 The coefficients c of the last static block enter linearly: y = sum_k c_k G(phi_k(x)). They are solved for at
 each trial of the others (Golub and Pereyra's variable projection, in Kaufman's form).
@@ -13,16 +15,18 @@ each trial of the others (Golub and Pereyra's variable projection, in Kaufman's 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from hident.arrays import Array
-from hident.block_chain import Block, BlockChain, Start, settled_state
+from hident.block_chain import Block, BlockChain, Start, free_response, settled_state
 from hident.estimators.prediction_error.continuous_structure import ContinuousStructure
-from hident.estimators.prediction_error.parameters import LinearStructure, Parameters, is_stable
+from hident.estimators.prediction_error.parameters import LinearStructure, Parameters, States, is_stable
 from hident.fitted_model import NoiseModel
 from hident.linear_blocks import TransferFunction
 from hident.numerics.parts import Parts, in_each
@@ -32,6 +36,7 @@ from hident.static_functions import StaticFunction
 # are free: a factor between two blocks, a coefficient of which the data say nothing.
 FREE = 1e-13
 _UNKNOWN_PAST = 200
+NO_STATES: Mapping[int, States] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +119,21 @@ class Data:
             return self.filtered(np.asarray(block.b), block.denominator, x)
         return block(x)
 
+    def begun(self, block: Block, x: Array, states: States) -> Array:
+        """As :meth:`through` for a signal (N,), with the block's own states in addition."""
+        y = self.through(block, x)
+        return y + self.free(block, states) if states else y
+
+    def free(self, block: Block, states: States) -> Array:
+        """What the states of a linear block at the first samples add to its output, shape (N,)."""
+        assert isinstance(block, TransferFunction)
+        return np.concatenate(
+            [
+                free_response(block, state, part.stop - part.start)
+                for state, part in zip(states, self.experiments, strict=True)
+            ]
+        )
+
     def whitened(self, noise: NoiseModel, rows: Array) -> Array:
         """The rows (..., N) through D/C, each experiment by itself."""
         if not (noise.ar or noise.ma):
@@ -180,10 +200,11 @@ class Point:
             if isinstance(block, TransferFunction):
                 if filled:
                     rows[:filled] = data.through(block, rows[:filled])
+                structure, states = parameters.structures[i], parameters.states.get(i, ())
+                assert isinstance(structure, LinearStructure)
                 if i not in parameters.held:
-                    structure = parameters.structures[i]
-                    assert isinstance(structure, LinearStructure)
-                    filled += _linear_rows(data, structure, block, x, y, rows[filled:])
+                    filled += _linear_rows(data, structure, block, x, y, states, rows[filled:])
+                filled += _state_rows(data, block, states, rows[filled:])
             else:
                 if filled:
                     rows[:filled] *= block.slope(x)
@@ -219,7 +240,7 @@ class Point:
         data = self.data
         with np.errstate(all="ignore"):
             try:
-                x = simulated(data, parameters.chain)
+                x = simulated(data, parameters.chain, parameters.states)
             except ValueError:
                 return None
             found = (data.y - data.whitened(noise, data.y - x))[data.counted]
@@ -242,9 +263,18 @@ class Point:
 
 
 def _linear_rows(
-    data: Data, structure: LinearStructure, block: TransferFunction, x: Array, y: Array, out: Array
+    data: Data,
+    structure: LinearStructure,
+    block: TransferFunction,
+    x: Array,
+    y: Array,
+    states: States,
+    out: Array,
 ) -> int:
-    from_input, from_output = data.filtered(np.ones(1), block.denominator, np.stack((x, y)))
+    # Before the first sample the output was that of the input alone.
+    free = data.free(block, states) if states else None
+    driven = y if free is None else y - free
+    from_input, from_output = data.filtered(np.ones(1), block.denominator, np.stack((x, driven)))
     # A continuous block has other numbers than the discrete one that it is for its samples.
     is_continuous = isinstance(structure, ContinuousStructure)
     rows = np.empty((structure.nb + structure.nf, len(x))) if is_continuous else out
@@ -252,9 +282,28 @@ def _linear_rows(
         data.delayed(from_input, structure.nk + j, rows[j])
     for j in range(structure.nf):
         data.delayed(from_output, j + 1, rows[structure.nb + j], -1.0)
+    if free is not None:
+        at_rest, row = replace(data, start="rest"), np.empty(len(y))
+        over = at_rest.filtered(np.ones(1), block.denominator, free)
+        for j in range(structure.nf):
+            at_rest.delayed(over, j + 1, row, -1.0)
+            rows[structure.nb + j] += row
     if isinstance(structure, ContinuousStructure):
         out[: structure.size] = structure.derivatives(block) @ rows
     return structure.size
+
+
+def _state_rows(data: Data, block: TransferFunction, states: States, out: Array) -> int:
+    """The derivatives of a block's output by its states: nothing outside of their own experiment."""
+    count = 0
+    for state, part in zip(states, data.experiments, strict=False):
+        response = free_response(block, np.ones(1), part.stop - part.start)
+        for j in range(len(state)):
+            row = out[count]
+            row[:] = 0.0
+            row[part.start + j : part.stop] = response[: len(response) - j]
+            count += 1
+    return count
 
 
 def _static_rows(block: StaticFunction, x: Array, is_projected: bool, out: Array) -> int:
@@ -280,11 +329,14 @@ def _noise_rows(data: Data, noise: NoiseModel, v: Array, out: Array) -> None:
                 at_rest.delayed(over, j + 1, out[first + j])
 
 
-def simulated(data: Data, chain: BlockChain) -> Array:
-    """The output (N,) of a chain; ValueError if it settles nowhere and should."""
+def simulated(data: Data, chain: BlockChain, states: Mapping[int, States] = NO_STATES) -> Array:
+    """The output (N,) of a chain; ValueError if it settles nowhere and should.
+
+    ``states`` are those of linear blocks by their places, beyond what the start of the data says.
+    """
     x = data.u
-    for block in chain.blocks:
-        x = data.through(block, x)
+    for i, block in enumerate(chain.blocks):
+        x = data.begun(block, x, states.get(i, ()))
     return x
 
 
@@ -308,20 +360,23 @@ def _is_invertible(noise: NoiseModel) -> bool:
 
 
 def _point_at(data: Data, parameters: Parameters, noise: NoiseModel) -> Point | None:
-    chain, place = parameters.chain, parameters.projected
+    chain, place, states = parameters.chain, parameters.projected, parameters.states
     signals, rows = [data.u], np.zeros((0, len(data.u)))
     for i, block in enumerate(chain.blocks):
         if i == place:
             assert isinstance(block, StaticFunction)
-            rows = block.basis.rows(signals[-1])
-            for follower in chain.blocks[i + 1 :]:
+            rows, free = block.basis.rows(signals[-1]), np.zeros(len(data.u)) if states else None
+            for j, follower in enumerate(chain.blocks[i + 1 :], start=i + 1):
                 rows = data.through(follower, rows)
+                if free is not None:
+                    free = data.begun(follower, free, states.get(j, ()))
             if not np.all(np.isfinite(rows)):
                 return None
-            coefficients = solved(data.whitened(noise, rows), data.whitened(noise, data.y), data)
+            y = data.y if free is None else data.y - free
+            coefficients = solved(data.whitened(noise, rows), data.whitened(noise, y), data)
             block = replace(block, coefficients=tuple(coefficients.tolist()))  # noqa: PLW2901
             parameters = parameters.with_block(i, block)
-        signals.append(data.through(block, signals[-1]))
+        signals.append(data.begun(block, signals[-1], states.get(i, ())))
     point = Point(data, parameters, noise, tuple(signals), rows)
     return point if np.isfinite(point.loss) else None
 

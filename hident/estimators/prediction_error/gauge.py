@@ -32,7 +32,14 @@ _GRID = 257
 
 def normalised(chain: BlockChain, held: frozenset[int] = frozenset(), start: Start = "settled") -> BlockChain:
     """The chain of the same response in which the rule holds, but for the blocks that are held."""
-    blocks = list(chain.blocks)
+    return normalised_with_factors(chain, held, start)[0]
+
+
+def normalised_with_factors(
+    chain: BlockChain, held: frozenset[int] = frozenset(), start: Start = "settled"
+) -> tuple[BlockChain, tuple[float, ...]]:
+    """As :func:`normalised`, and by what the output of each block is multiplied; its states are with it."""
+    blocks, factors = list(chain.blocks), [1.0] * len(chain.blocks)
     for i, block in enumerate(blocks):
         if not isinstance(block, TransferFunction) or i in held:
             continue
@@ -45,6 +52,8 @@ def normalised(chain: BlockChain, held: frozenset[int] = frozenset(), start: Sta
                 # Its functions have a unit of their own.
                 continue
             blocks[i], blocks[target] = block.divided(gain), taken
+            for j in range(*sorted((i, target))):
+                factors[j] *= 1.0 / gain if target > i else gain
             break
     static = [i for i, block in enumerate(blocks) if isinstance(block, StaticFunction)]
     for i, j in pairwise(static):
@@ -64,8 +73,10 @@ def normalised(chain: BlockChain, held: frozenset[int] = frozenset(), start: Sta
             except ValueError:
                 continue
             blocks[i], blocks[j] = pair
+            for k in range(i, j):
+                factors[k] *= factor
             break
-    return replace(chain, blocks=tuple(blocks))
+    return replace(chain, blocks=tuple(blocks)), tuple(factors)
 
 
 def gain_of(block: TransferFunction) -> float:

@@ -1,9 +1,13 @@
-"""A chain of blocks as a vector of numbers, and the chain that a vector stands for."""
+"""A chain of blocks as a vector of numbers, and the chain that a vector stands for.
+
+The vector theta goes from block to block: the numbers of each that is to be found, and behind those of a
+linear block its states at the first sample of each experiment, where they are to be found too.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,6 +30,11 @@ class LinearStructure:
     @property
     def size(self) -> int:
         return self.nb + self.nf
+
+    @property
+    def states(self) -> int:
+        """How many numbers the state has."""
+        return max(self.nk + self.nb - 1, self.nf)
 
     def made(self, numbers: Array) -> TransferFunction:
         """The block of the numbers b, f."""
@@ -90,6 +99,8 @@ class StaticStructure:
 
 
 Structure = LinearStructure | StaticStructure
+States = tuple[Array, ...]
+"""The states of a linear block at the first sample of each experiment; none if they are not to be found."""
 
 
 @dataclass(frozen=True)
@@ -97,15 +108,23 @@ class Parameters:
     """Which numbers of a chain are to be found, and where each stands in their vector theta.
 
     A block among ``held`` keeps the numbers of ``chain``. The coefficients of the last static block that is
-    not held are solved for (``projected``): all that follows it is linear.
+    not held are solved for (``projected``): all that follows it is linear. ``states`` are those of all linear
+    blocks by their places, held ones among them, beyond what the start of the data says.
     """
 
     structures: tuple[Structure, ...]
     chain: BlockChain
     held: frozenset[int] = frozenset()
+    states: Mapping[int, States] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, orders: Sequence[object], chain: BlockChain, held: Sequence[int] = ()) -> Parameters:
+    def of(
+        cls,
+        orders: Sequence[object],
+        chain: BlockChain,
+        held: Iterable[int] = (),
+        states: Mapping[int, States] | None = None,
+    ) -> Parameters:
         """The parameters of a chain, whose static blocks say their bases, and ``orders`` the linear ones."""
         structures: list[Structure] = []
         for order, block in zip(orders, chain.blocks, strict=True):
@@ -114,7 +133,7 @@ class Parameters:
             else:
                 assert isinstance(order, LinearStructure)
                 structures.append(order)
-        return cls(tuple(structures), chain, frozenset(held))
+        return cls(tuple(structures), chain, frozenset(held), states or {})
 
     @cached_property
     def free(self) -> tuple[int, ...]:
@@ -129,8 +148,10 @@ class Parameters:
         return last[-1] if last and last[-1] == behind else None
 
     def stepped(self, i: int) -> int:
-        """How many of block i's numbers are found by steps: all but those that are solved for."""
+        """How many of block i's numbers are found by steps: all but those that are solved for, or held."""
         structure = self.structures[i]
+        if i in self.held:
+            return 0
         if i == self.projected:
             assert isinstance(structure, StaticStructure)
             return len(structure.basis.shape)
@@ -138,8 +159,17 @@ class Parameters:
 
     def theta(self) -> Array:
         """The numbers found by steps, as they stand in the chain."""
-        pieces = [self.numbers(i)[: self.stepped(i)] for i in self.free]
-        return np.concatenate(pieces) if pieces else np.zeros(0)
+        pieces = [np.zeros(0)]
+        for i in range(len(self.structures)):
+            if count := self.stepped(i):
+                pieces.append(self.numbers(i)[:count])
+            pieces += self.states.get(i, ())
+        return np.concatenate(pieces)
+
+    def place(self, i: int) -> int:
+        """Where the numbers of block i begin in theta."""
+        before = sum(self.stepped(j) for j in range(i))
+        return before + sum(len(state) for j, states in self.states.items() if j < i for state in states)
 
     def numbers(self, i: int) -> Array:
         """All numbers of block i."""
@@ -153,14 +183,19 @@ class Parameters:
     def moved(self, theta: Array) -> Parameters:
         """These parameters with other numbers; ValueError where a shape does not exist."""
         blocks: list[Block] = list(self.chain.blocks)
+        states: dict[int, States] = {}
         place = 0
-        for i in self.free:
-            count = self.stepped(i)
-            numbers = self.numbers(i)
-            numbers[:count] = theta[place : place + count]
-            blocks[i] = self.structures[i].made(numbers)
-            place += count
-        return replace(self, chain=replace(self.chain, blocks=tuple(blocks)))
+        for i, structure in enumerate(self.structures):
+            if count := self.stepped(i):
+                numbers = self.numbers(i)
+                numbers[:count] = theta[place : place + count]
+                blocks[i] = structure.made(numbers)
+                place += count
+            if i in self.states:
+                ends = np.cumsum([len(state) for state in self.states[i]])
+                states[i] = tuple(np.split(theta[place : place + ends[-1]], ends[:-1]))
+                place += int(ends[-1])
+        return replace(self, chain=replace(self.chain, blocks=tuple(blocks)), states=states)
 
     def with_block(self, i: int, block: Block) -> Parameters:
         """These parameters with block i in place of its own."""
@@ -170,7 +205,8 @@ class Parameters:
 
     def count(self) -> int:
         """How many numbers are to be found."""
-        return sum(self.structures[i].size for i in self.free)
+        states = sum(len(state) for states in self.states.values() for state in states)
+        return states + sum(self.structures[i].size for i in self.free)
 
     def is_stable(self) -> bool:
         """Whether all linear blocks to be found are stable."""

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator
 
-from hident.block_chain import Block, BlockChain
+from hident.block_chain import Block, BlockChain, Start
 from hident.config.spec import Count, NonEmpty, Of, Spec, component
 from hident.errors import EstimationError
 from hident.estimators.base import CONTINUOUS, DISCRETE, AtOneInterval, require_usable, unknown_past
@@ -26,7 +26,7 @@ from hident.estimators.prediction_error.criterion import Data
 from hident.estimators.prediction_error.parameters import Parameters
 from hident.estimators.prediction_error.standard_errors import names, normal_form, standard_errors, values
 from hident.estimators.prediction_error.structure import ChainStructure
-from hident.fitted_model import FittedModel, NoiseModel
+from hident.fitted_model import Begun, FittedModel, NoiseModel, digest
 from hident.records import Estimate, Record
 from hident.sampled_blocks import SampledTransferFunction
 from hident.static_functions import StaticFunction
@@ -71,8 +71,8 @@ class PredictionError(AtOneInterval):
     """The blocks from the input to the output."""
     noise: NoiseOrders = NoiseOrders()
     """Orders of the noise model."""
-    start: Literal["settled", "rest"] = "settled"
-    """What was before a record: its first input for ever, or nothing."""
+    start: Literal["settled", "rest", "estimated"] = "settled"
+    """What was before a record: its first input for ever, nothing, or what its first samples tell."""
     n_init: Annotated[Count, Field(ge=0)] = 0
     """First samples of each experiment that are simulated but not fitted."""
     starts: Annotated[Count, Field(ge=1, le=1000)] = 8
@@ -101,9 +101,13 @@ class PredictionError(AtOneInterval):
         for block in self.blocks:
             if not block.held:
                 count += block.fewest_numbers()
+            if self.start == "estimated" and isinstance(block, LinearBlock):
+                count += block.structure().states
         return count
 
     def begun_in_motion(self, shortest: int) -> Self:
+        if self.start == "estimated":
+            return self
         return self.model_copy(update={"n_init": max(self.n_init, unknown_past(shortest))})
 
     def free_parameters(self) -> int:
@@ -183,7 +187,8 @@ class PredictionError(AtOneInterval):
         """The fit, with all that is known of the search."""
         require_usable(record)
         self.require_experiments(record)
-        data = Data(record.u, record.y, record.experiments, self.start, self.n_init)
+        past: Start = "rest" if self.start == "rest" else "settled"
+        data = Data(record.u, record.y, record.experiments, past, self.n_init)
         if data.count < self.fewest_samples() - self.n_init:
             raise EstimationError(
                 f"{data.count} samples are left after n_init, and at least "
@@ -198,6 +203,7 @@ class PredictionError(AtOneInterval):
             ma=self.noise.ma,
             most_starts=self.starts,
             max_iterations=self.max_iterations,
+            states=self.start == "estimated",
         )
 
     def structure(self, dt: float | None = None) -> ChainStructure:
@@ -244,6 +250,7 @@ class PredictionError(AtOneInterval):
             noise=NoiseModel(point.noise.ar, point.noise.ma, mse),
             errors=errors,
             about=_about(fit),
+            begun=_begun(form, record),
         )
         chain = model.chain
 
@@ -274,8 +281,19 @@ def _seen(form: Parameters, data: Data) -> BlockChain:
             blocks.append(block if i in form.held else replace(block, basis=seen))
         else:
             blocks.append(block)
-        x = data.through(block, x)
+        x = data.begun(block, x, form.states.get(i, ()))
     return replace(form.chain, blocks=tuple(blocks))
+
+
+def _begun(form: Parameters, record: Record) -> tuple[Begun, ...]:
+    """The states of each experiment of a record, in the normal form; nothing where they were not found."""
+    if not form.states:
+        return ()
+    of_blocks = [form.states[i] for i in sorted(form.states)]
+    return tuple(
+        Begun(digest(record.u[part], record.y[part]), tuple(tuple(one[k].tolist()) for one in of_blocks))
+        for k, part in enumerate(record.experiments)
+    )
 
 
 def _about(fit: ChainFit) -> Mapping[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 from hident.arrays import Array
 from hident.block_chain import BlockChain
 from hident.estimators.prediction_error.criterion import FREE, Point
-from hident.estimators.prediction_error.gauge import normalised
+from hident.estimators.prediction_error.gauge import normalised_with_factors
 from hident.estimators.prediction_error.parameters import LinearStructure, Parameters
 from hident.numerics.autoregression import ArModel, yule_walker
 from hident.numerics.parts import Parts, following, in_each
@@ -35,8 +35,9 @@ def normal_form(point: Point) -> Parameters:
 
 
 def _normal_form(parameters: Parameters, point: Point) -> Parameters:
-    chain = normalised(parameters.chain, parameters.held, point.data.start)
-    return Parameters.of(parameters.structures, chain, tuple(parameters.held))
+    chain, factors = normalised_with_factors(parameters.chain, parameters.held, point.data.start)
+    states = {i: tuple(factors[i] * state for state in one) for i, one in parameters.states.items()}
+    return Parameters.of(parameters.structures, chain, parameters.held, states)
 
 
 def standard_errors(point: Point) -> tuple[Mapping[str, float], ...]:
@@ -45,7 +46,8 @@ def standard_errors(point: Point) -> tuple[Mapping[str, float], ...]:
     With H the Hessian of half the sum of squares and S the covariance of the gradient, which follows from an
     autoregressive model of the residuals, its order by Schwarz's criterion (Den Haan and Levin 1997, Handbook
     of Statistics 15, 299), the covariance is H^+ S H^+ (Ljung, 9.2; White 1982, Econometrica 50, 1), carried
-    to the normal form by its derivative: what is free drops out there.
+    to the normal form by its derivative: what is free drops out there. Where states are found with the
+    numbers, their part of H and S counts, and no error of theirs is given.
     """
     free = point.parameters.free
     derivative = _derivative(point)
@@ -67,7 +69,8 @@ def _covariance(point: Point) -> Array:
     """The covariance of the numbers of all blocks to be found, each block's together, in their own form."""
     from scipy.signal import lfilter
 
-    rows = point.rows()[_order(point)]
+    order, states = _order(point)
+    rows = point.rows()[[*order, *states]]
     lengths = np.linalg.norm(rows, axis=1)
     lengths[lengths == 0.0] = 1.0
     rows /= lengths[:, None]
@@ -85,7 +88,8 @@ def _covariance(point: Point) -> Array:
     # S = J^T R J with R = variance (D^T D)^-1: the rows backwards through 1/D.
     rows = in_each(experiments, coloured, rows, axis=1)
     meat = noise.variance * count / freedom * (rows @ rows.T)
-    return np.asarray(inverse @ meat @ inverse / np.outer(lengths, lengths))
+    covariance = inverse @ meat @ inverse / np.outer(lengths, lengths)
+    return np.asarray(covariance[: len(order), : len(order)])
 
 
 def _residual_model(residuals: Array, experiments: Parts) -> ArModel:
@@ -102,19 +106,21 @@ def _residual_model(residuals: Array, experiments: Parts) -> ArModel:
     return min(left, key=lambda one: count * np.log(one.variance) + np.log(count) * len(one.a))
 
 
-def _order(point: Point) -> list[int]:
-    """Where the rows of each block's numbers stand among those of the point; the noise's are left out."""
+def _order(point: Point) -> tuple[list[int], list[int]]:
+    """Where the rows of each block's numbers stand among those of the point, and where those of the states.
+
+    The noise's are left out.
+    """
     parameters = point.parameters
     stepped = len(parameters.theta())
     behind = stepped + len(point.noise.ar) + len(point.noise.ma)
     found: list[int] = []
-    place = 0
     for i in parameters.free:
-        count = parameters.stepped(i)
+        count, place = parameters.stepped(i), parameters.place(i)
         found += range(place, place + count)
-        place += count
         found += range(behind, behind + parameters.structures[i].size - count)
-    return found
+    numbers = set(found)
+    return found, [row for row in range(stepped) if row not in numbers]
 
 
 def _derivative(point: Point) -> Array:

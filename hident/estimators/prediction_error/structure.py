@@ -156,7 +156,7 @@ class ChainStructure:
                 made = function
                 x = function(x)
             blocks.append(made)
-        return Parameters.of(self.blocks, BlockChain(tuple(blocks)), tuple(self.held))
+        return Parameters.of(self.blocks, BlockChain(tuple(blocks)), self.held)
 
     def _tries_several(self, i: int) -> bool:
         block = self.blocks[i]
@@ -178,8 +178,8 @@ class ChainStructure:
                 blocks.append(fitted(kind, x, block, data) if follows else block)
             else:
                 blocks.append(block)
-            x = data.through(blocks[-1], x)
-        return Parameters.of(self.blocks, BlockChain(tuple(blocks)), tuple(self.held))
+            x = data.begun(blocks[-1], x, parameters.states.get(i, ()))
+        return Parameters.of(self.blocks, BlockChain(tuple(blocks)), self.held, parameters.states)
 
 
 Functions = Mapping[int, "StaticFunction | None"]
