@@ -53,6 +53,7 @@ from hident.estimators.prediction_error.block_specs import PiecewiseLinearBlock 
 from hident.estimators.prediction_error.block_specs import PolynomialBlock as PolynomialBlock
 from hident.estimators.prediction_error.block_specs import SaturationBlock as SaturationBlock
 from hident.estimators.prediction_error.block_specs import SeriesBlock as SeriesBlock
+from hident.estimators.prediction_error.chain_cramer_rao import ChainCramerRao as ChainCramerRao
 from hident.estimators.prediction_error.prediction_error import PredictionError as PredictionError
 from hident.estimators.selection.select import Select as Select
 from hident.estimators.voros.voros_hammerstein import VorosHammerstein as VorosHammerstein
@@ -75,7 +76,8 @@ from hident.metrics.fit import RSquared as RSquared
 from hident.metrics.frequency import GainShapeError as GainShapeError, MovedDelay as MovedDelay
 from hident.metrics.frequency import Response as Response, ResponseError as ResponseError
 from hident.metrics.frequency import TrueResponse as TrueResponse
-from hident.metrics.models import LinearPercentError as LinearPercentError, SettlingTime as SettlingTime
+from hident.metrics.models import LinearPercentError as LinearPercentError, OutputMse as OutputMse
+from hident.metrics.models import SettlingTime as SettlingTime
 from hident.metrics.models import ValidationPercentError as ValidationPercentError
 from hident.metrics.nonlinearity import ErrorReduction as ErrorReduction
 from hident.metrics.nonlinearity import IntegratedSquaredError as IntegratedSquaredError
@@ -108,6 +110,7 @@ from hident.reports.one_trial.static_fits import StaticFit as StaticFit
 from hident.reports.tables.agreement import Agreement as Agreement
 from hident.reports.tables.against_truth import AgainstTruth as AgainstTruth
 from hident.reports.tables.candidates import Candidates as Candidates
+from hident.reports.tables.attained import Attained as Attained
 from hident.reports.tables.choices import Choices as Choices
 from hident.reports.tables.comparison import Comparison as Comparison
 from hident.reports.tables.distances import Distance as Distance, JointDistance as JointDistance
@@ -123,8 +126,8 @@ from hident.signals.experiments import Experiments as Experiments, SteppedSine a
 from hident.signals.matlab5_streams import Matlab5Streams as Matlab5Streams
 from hident.signals.noise import Autoregressive as Autoregressive, Rounding as Rounding, White as White
 from hident.signals.streams import NumpyStreams as NumpyStreams
-from hident.systems.blocks import Hammerstein as Hammerstein, Wiener as Wiener
-from hident.systems.blocks import WienerHammerstein as WienerHammerstein
+from hident.systems.blocks import Hammerstein as Hammerstein, HammersteinWiener as HammersteinWiener
+from hident.systems.blocks import Wiener as Wiener, WienerHammerstein as WienerHammerstein
 from hident.systems.continuous import Continuous as Continuous, ContinuousZpk as ContinuousZpk
 from hident.systems.linear import Ar as Ar, Arma as Arma, Fir as Fir
 from hident.systems.sections import Sos as Sos, Zpk as Zpk

@@ -14,7 +14,8 @@ from hident.config.spec import Count, Of, Real, component
 from hident.errors import EstimationError, SimulationError
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 from hident.metrics.base import MetricSpec, Scored
-from hident.model_output import has_stable_block
+from hident.model_output import has_stable_block, simulated
+from hident.numerics.parts import in_each
 from hident.numerics.rounding import is_constant
 from hident.records import Estimate, Record, needed
 from hident.signals.base import MOST_SAMPLES, ExcitationSpec
@@ -216,6 +217,45 @@ class ValidationPercentError(MetricSpec):
         dt = 1.0 if record.dt is None else record.dt
         u = validation_input(self.excitation, self.samples, dt)
         return (fit_error(found(u, dt), true(u, dt)),)
+
+
+@component("metric", "output_mse")
+class OutputMse(MetricSpec):
+    """Mean squared difference between the model's output and the true one, to the input that was fitted.
+
+    The true output is that without noise, so that what is scored is the estimate's error alone, in the
+    squared unit of the output.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> system = hi.Hammerstein(nonlinearity="identity", linear=hi.Ar(a=[0.5], initial="zero"))
+    >>> input, noise = hi.Iid(distribution="uniform", low=-1, high=1), hi.White(std=1)
+    >>> record = hi.simulate(system, input, 500, noise=noise)
+    >>> estimate = hi.Estimate(response=lambda u, dt: 0.1 + system.simulate(u))
+    >>> round(hi.score(estimate, record, error=hi.OutputMse())["error"], 9)
+    0.01
+    """
+
+    best = "lowest"
+
+    def needs_of_truth(self) -> frozenset[str]:
+        return frozenset({"response"})
+
+    def needs_of_estimate(self) -> frozenset[str]:
+        return frozenset({"model or response"})
+
+    def check(self, scored: Scored) -> None:
+        if scored.system.burn_in() or scored.system.follows_waveforms():
+            raise ValueError(
+                "needs the true output from rest, and this system was in motion before the record: give its "
+                "discrete blocks 'initial: zero', or score another input by validation_error"
+            )
+
+    def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
+        response, dt = needed(needed(record.truth).response), record.dt or 1.0
+        true = in_each(record.experiments, lambda u: response(u, dt), record.u)
+        return (float(np.mean((simulated(estimate, record) - true) ** 2)),)
 
 
 def validation_input(excitation: ExcitationSpec, samples: int, dt: float) -> Array:

@@ -39,6 +39,13 @@ def _rescaled(truth: Truth, inside: float = 1.0, outside: float = 1.0) -> Truth:
     return replace(truth, nonlinearity=Rescaled(truth.nonlinearity, inside, outside), breakpoints=points)
 
 
+def _holding(truth: Truth, block: TransferFunction | ContinuousTransferFunction) -> Truth:
+    """The truth with its one linear block."""
+    if isinstance(block, ContinuousTransferFunction):
+        return replace(truth, continuous=block)
+    return replace(truth, linear=block)
+
+
 def _moved(factors: Mapping[str, float]) -> float:
     """What the linear block is divided by, and the nonlinearity takes."""
     return factors["linear"] if "linear" in factors else 1.0 / factors["nonlinearity"]
@@ -73,18 +80,13 @@ class _OneLinearBlock(SystemSpec):
             values=block.values(),
             breakpoints=self.nonlinearity.break_points(),
         )
-        if isinstance(block, ContinuousTransferFunction):
-            return replace(truth, continuous=block)
-        return replace(truth, linear=block)
+        return _holding(truth, block)
 
     def _divided(self, factor: float) -> Truth:
         """The truth with the linear block divided by a factor."""
         truth = self.truth()
         block = self.linear.transfer_function().scaled(1.0 / factor)
-        values = {**truth.values, **block.values()}
-        if isinstance(block, ContinuousTransferFunction):
-            return replace(truth, continuous=block, values=values)
-        return replace(truth, linear=block, values=values)
+        return _holding(replace(truth, values={**truth.values, **block.values()}), block)
 
 
 @component("system", "hammerstein")
@@ -149,6 +151,53 @@ class Wiener(_OneLinearBlock):
     def _rescaled(self, factors: Mapping[str, float]) -> Truth:
         moved = _moved(factors)
         return _rescaled(self._divided(moved), inside=moved)
+
+
+@component("system", "hammerstein_wiener")
+class HammersteinWiener(SystemSpec):
+    """A linear block between two nonlinearities.
+
+    Examples
+    --------
+    >>> import hident as hi
+    >>> block = hi.Fir(b=[1, 0.5])
+    >>> system = hi.HammersteinWiener(input_nonlinearity="abs", linear=block, output_nonlinearity="sign")
+    >>> system.simulate(np.array([-1.0, 2.0, 0.0]))
+    array([1., 1., 1.])
+    """
+
+    input_nonlinearity: Annotated[NonlinearitySpec, Of("nonlinearity")]
+    """The nonlinearity at the input."""
+    linear: Annotated[LinearSpec, Of("linear")]
+    """The linear block."""
+    output_nonlinearity: Annotated[NonlinearitySpec, Of("nonlinearity")]
+    """The nonlinearity at the output."""
+
+    def check(self, dt: float | None) -> None:
+        self.linear.check(dt)
+
+    def burn_in(self) -> int:
+        return self.linear.burn_in()
+
+    def check_before(self, level: float) -> None:
+        # The linear block, which is at rest, sees the output of the first nonlinearity.
+        super().check_before(float(self.input_nonlinearity.simulate(np.array([level]))[0]))
+
+    def simulate(self, u: Array, dt: float = 1.0) -> Array:
+        x = self.linear.simulate(self.input_nonlinearity.simulate(u), dt)
+        return self.output_nonlinearity.simulate(x)
+
+    def lacks(self, part: str) -> str:
+        return "it has two nonlinearities" if part == "nonlinearity" else ""
+
+    def truth(self) -> Truth:
+        block = self.linear.transfer_function()
+        truth = Truth(response=self.simulate, values=block.values(), rescaled=self._rescaled)
+        return _holding(truth, block)
+
+    def _rescaled(self, factors: Mapping[str, float]) -> Truth:
+        block = self.linear.transfer_function().scaled(1.0 / factors["linear"])
+        return _holding(replace(self.truth(), values=block.values()), block)
 
 
 def _start(initial: str | tuple[float, ...]) -> str:

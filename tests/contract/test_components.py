@@ -351,6 +351,30 @@ EXAMPLES = [
         **MOVING,
         **STEPS,
     ),
+    Example(
+        {
+            "kind": "prediction_error",
+            "blocks": [{"kind": "linear", "nb": 1, "nf": 1}, {"kind": "polynomial", "degree": 2}],
+            "start": "estimated",
+            "initialisation": ["linear_approximation"],
+        },
+        system="wiener",
+    ),
+    Example(
+        {
+            "kind": "chain_cramer_rao",
+            "of": {
+                "kind": "prediction_error",
+                "blocks": [
+                    {"kind": "polynomial", "degree": 3, "range": [-2, 2], "start": CUBIC},
+                    {"kind": "linear", "nb": 1, "nf": 1, "start": AR},
+                ],
+            },
+            "noise": [0.5],
+            "variance": 0.01,
+        },
+        invariances=frozenset(),
+    ),
 ]
 
 
@@ -362,6 +386,15 @@ SETTINGS: list[tuple[Family, dict[str, Any]]] = [
     (
         "system",
         {"kind": "wiener_hammerstein", "input_linear": FIR, "nonlinearity": CUBIC, "output_linear": AR},
+    ),
+    (
+        "system",
+        {
+            "kind": "hammerstein_wiener",
+            "input_nonlinearity": CUBIC,
+            "linear": AR,
+            "output_nonlinearity": "abs",
+        },
     ),
     ("system", BLOCKS["system"]),
     ("linear", {"kind": "arma", "a": [0.5, "-1/4"], "b": [1, 2], "initial": [1, 2]}),
@@ -454,7 +487,7 @@ def _raised(excitation):
 _STATIC = ("kernel", "orthogonal")
 _CONTENT = {
     "constant input": ("known_dynamics",),
-    "constant output": ("known_dynamics", "cramer_rao", *_STATIC),
+    "constant output": ("known_dynamics", "cramer_rao", "chain_cramer_rao", *_STATIC),
     "period of two": ("known_dynamics", "known_nonlinearity", *_STATIC),
 }
 

@@ -25,8 +25,14 @@ def build(kind: str, **keys: Any) -> SystemSpec:
 HAMMERSTEIN = build("hammerstein", nonlinearity="abs", linear=AR)
 WIENER = build("wiener", linear=AR, nonlinearity={"kind": "saturation", "low": -1, "high": 2})
 WIENER_HAMMERSTEIN = build("wiener_hammerstein", input_linear=FIR, nonlinearity="abs", output_linear=AR)
+HAMMERSTEIN_WIENER = build(
+    "hammerstein_wiener",
+    input_nonlinearity="abs",
+    linear=AR,
+    output_nonlinearity={"kind": "saturation", "low": -1, "high": 2},
+)
 SYSTEMS = pytest.mark.parametrize(
-    "spec", [HAMMERSTEIN, WIENER, WIENER_HAMMERSTEIN], ids=lambda spec: spec.kind
+    "spec", [HAMMERSTEIN, WIENER, WIENER_HAMMERSTEIN, HAMMERSTEIN_WIENER], ids=lambda spec: spec.kind
 )
 
 
@@ -45,6 +51,21 @@ def test_wiener_bends_what_the_linear_block_gives():
 def test_wiener_hammerstein_is_a_wiener_block_and_a_filter():
     v = WIENER_HAMMERSTEIN.simulate(U)
     np.testing.assert_allclose(v[1:], 0.5 * v[:-1] + np.abs(U[1:] + 2 * U[:-1]), atol=1e-14)
+
+
+def test_hammerstein_wiener_bends_what_a_hammerstein_block_gives():
+    np.testing.assert_array_equal(HAMMERSTEIN_WIENER.simulate(U), np.clip(HAMMERSTEIN.simulate(U), -1, 2))
+
+
+def test_the_truth_between_two_nonlinearities():
+    truth = HAMMERSTEIN_WIENER.truth()
+    assert truth.linear == TransferFunction(a=(0.5,))
+    assert HAMMERSTEIN_WIENER.provides() == {"linear", "response", "value a_1", "value b_0"}
+    # Which nonlinearity takes the factor no value tells.
+    assert truth.rescaled is not None
+    moved = truth.rescaled({"linear": 2.0})
+    assert moved.linear == TransferFunction(b=(0.5,), a=(0.5,))
+    assert moved.values == {"a_1": 0.5, "b_0": 0.5}
 
 
 @SYSTEMS

@@ -135,7 +135,7 @@ class TestWithNoise:
         # A noise model beside output error, white and coloured noise.
         noise = {"ar": 1} if structure == "L-N" else {}
         pole = 0.0 if structure == "N-L" else 0.6
-        name = "l1_a_1" if structure == "L-N-L" else "a_1"
+        name = "input_a_1" if structure == "L-N-L" else "a_1"
         spec = estimator(structure, start, noise=noise)
         rows = []
         for trial in range(self.TRIALS):

@@ -219,3 +219,23 @@ def test_a_rate_leaves_out_the_points_that_failed(tmp_path):
     values = {("one", str(n)): np.array([0.9, 1.1]) / n for n in (10, 100)} | {("one", "1000"): [np.nan] * 2}
     table = built(made(tmp_path, values, rest=OPEN_RATE))
     assert table.rows[0][1] == "-1.00"
+
+
+ATTAINED = """
+tables:
+  t: {kind: attained, title: As good, metric: mise, reference: one, estimators: [two], within: 0.1}
+"""
+
+
+def test_how_often_an_estimator_comes_as_low_as_another(tmp_path):
+    nan = np.nan
+    values = {
+        ("one", "10"): [1.0, 1.0, nan, 2.0, 1.0],
+        ("two", "10"): [1.1, 1.2, 0.5, 1.0, nan],
+        ("one", "100"): [nan] * 5,
+    }
+    table = built(made(tmp_path, values, rest=ATTAINED))
+    # A trial without a mark does not count, one that failed has not attained it.
+    assert table.rows == (("10", "50"), ("100", "-"), ("1000", "100"))
+    assert table.header == ("samples", "two")
+    assert table.notes == ("Percentage of 5 trials in which mise is at most 1.1 times that of one.",)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from hident.estimators.prediction_error.descent import Descent, Status, descend
 from hident.estimators.prediction_error.excitation import require_excitation
 from hident.estimators.prediction_error.linear_start import stabilised
 from hident.estimators.prediction_error.parameters import LinearStructure, Parameters
-from hident.estimators.prediction_error.starts import starts
+from hident.estimators.prediction_error.starts import ALL, Initialisation, starts
 from hident.estimators.prediction_error.structure import ChainStructure
 from hident.fitted_model import NoiseModel
 from hident.initial_states import initial_states
@@ -59,6 +59,7 @@ def fit_chain(
     most_starts: int = 8,
     max_iterations: int = 100,
     states: bool = False,
+    initialisation: Collection[Initialisation] = ALL,
 ) -> ChainFit:
     """Fit a chain to data, then the ``states`` at the first samples and the noise with it, if asked for.
 
@@ -74,7 +75,7 @@ def fit_chain(
         data = replace(data, n_init=max(data.n_init, unknown_past(shortest)))
     require_excitation(structure, data)
     first, second = (data.busiest(samples) for samples, _ in (_FIRST_HEAT, _SECOND_HEAT))
-    points = distinct(all_starts(structure, first, data), most_starts)
+    points = distinct(all_starts(structure, first, data, initialisation), most_starts)
     if not points:
         raise EstimationError("no start could be made: the record says nothing about such a chain of blocks")
     evaluations = 0
@@ -87,10 +88,13 @@ def fit_chain(
     if _agreeing(second_heat) == 1 and smooth is not structure:
         # Of several static blocks the starts were smooth already.
         if len(structure.free_static) > 1:
-            others = distinct(_nested(structure, first, data), 2)
+            others = (
+                distinct(_nested(structure, first, data), 2) if "shorter_chains" in initialisation else []
+            )
         else:
             others = _smooth_starts(structure, smooth, points, first)[:1]
-        second_heat += _heat(structure, [one.parameters for one in others], second, most)
+        if others:
+            second_heat += _heat(structure, [one.parameters for one in others], second, most)
         second_heat.sort(key=lambda one: one.point.loss)
     evaluations += sum(one.evaluations for one in second_heat)
     best, agreeing = second_heat[0], _agreeing(second_heat)
@@ -118,13 +122,17 @@ def _agreeing(found: Sequence[Descent]) -> int:
     return sum(one.point.loss <= least * (1.0 + _SAME) for one in found)
 
 
-def all_starts(structure: ChainStructure, first: Data, data: Data) -> list[Point]:
+def all_starts(
+    structure: ChainStructure, first: Data, data: Data, initialisation: Collection[Initialisation] = ALL
+) -> list[Point]:
     """The starts of a chain, scored on the first heat's data; of several static blocks by shorter chains."""
     free = structure.free_static
     if len(free) > 1 and (smooth := structure.smooth(first.u)) is not structure:
-        points = distinct(all_starts(smooth, first, data), _RACED_OF_SMOOTH)
+        points = distinct(all_starts(smooth, first, data, initialisation), _RACED_OF_SMOOTH)
         return _smooth_starts(structure, smooth, points, first)
-    found = [*starts(structure, data), *_nested(structure, first, data)]
+    found = starts(structure, data, initialisation)
+    if "shorter_chains" in initialisation:
+        found += _nested(structure, first, data)
     scored = [point_at(first, one.parameters) for one in found]
     return sorted((one for one in scored if one is not None), key=lambda one: one.loss)
 

@@ -23,8 +23,9 @@ from hident.estimators.prediction_error.block_specs import (
 )
 from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain
 from hident.estimators.prediction_error.criterion import Data
-from hident.estimators.prediction_error.parameters import Parameters
+from hident.estimators.prediction_error.parameters import LinearStructure, Parameters
 from hident.estimators.prediction_error.standard_errors import names, normal_form, standard_errors, values
+from hident.estimators.prediction_error.starts import ALL, Initialisation
 from hident.estimators.prediction_error.structure import ChainStructure
 from hident.fitted_model import Begun, FittedModel, NoiseModel, digest
 from hident.records import Estimate, Record
@@ -77,6 +78,8 @@ class PredictionError(AtOneInterval):
     """First samples of each experiment that are simulated but not fitted."""
     starts: Annotated[Count, Field(ge=1, le=1000)] = 8
     """Most starts that are raced."""
+    initialisation: Annotated[tuple[Initialisation, ...], Field(min_length=1)] = ALL
+    """The methods that make the starts, of which those count that suit the structure; all by default."""
     max_iterations: Annotated[Count, Field(ge=1)] = 100
     """Most iterations of the last descent."""
 
@@ -101,8 +104,8 @@ class PredictionError(AtOneInterval):
         for block in self.blocks:
             if not block.held:
                 count += block.fewest_numbers()
-            if self.start == "estimated" and isinstance(block, LinearBlock):
-                count += block.structure().states
+            if self.start == "estimated" and isinstance(made := block.structure(), LinearStructure):
+                count += made.states
         return count
 
     def begun_in_motion(self, shortest: int) -> Self:
@@ -125,19 +128,28 @@ class PredictionError(AtOneInterval):
         return first if isinstance(block, StaticSpec) and block.has_unit() else 0
 
     def _places(self) -> dict[int, str]:
-        """What the names of each block's values begin with: nothing where there is one of its sort."""
+        """What the names of each block's values begin with: nothing where there is one of its sort.
+
+        The two of a Wiener-Hammerstein model are named as those of the system.
+        """
         linear = [i for i, block in enumerate(self.blocks) if isinstance(block, DynamicSpec)]
+        if len(self.blocks) == 3 and linear == [0, 2]:
+            return {0: "input_", 2: "output_"}
         return {i: f"l{k}_" if len(linear) > 1 else "" for k, i in enumerate(linear, start=1)}
 
     def names(self) -> Sequence[str]:
         found: list[str] = []
         for i, before in self._places().items():
-            block = self.blocks[i]
-            assert isinstance(block, DynamicSpec)
-            own = block.number_names()
+            own = self._numbers_of(i)
             found += [f"{before}{name}" for name in own]
             found += [f"se_{before}{name}" for name in own]
         return [*found, *_SUMMARY]
+
+    def _numbers_of(self, i: int) -> list[str]:
+        """The names of the numbers of a linear block by its place."""
+        block = self.blocks[i]
+        assert isinstance(block, DynamicSpec)
+        return block.number_names()
 
     def provides(self) -> frozenset[str]:
         parts = {"response", "model"}
@@ -175,7 +187,7 @@ class PredictionError(AtOneInterval):
     def normalisations(self) -> tuple[Normalisation, ...] | None:
         if any(block.held for block in self.blocks) or self._kept_gains():
             return None
-        rule = unit_static_gain("b l1_b l2_b l3_b")
+        rule = unit_static_gain("b l1_b l2_b l3_b input_b output_b")
         # The orders of two linear blocks with a nonlinearity between them say which of them has a delay.
         return (replace(rule, free=rule.free | {"delay"}) if len(self._places()) > 1 else rule,)
 
@@ -187,8 +199,7 @@ class PredictionError(AtOneInterval):
         """The fit, with all that is known of the search."""
         require_usable(record)
         self.require_experiments(record)
-        past: Start = "rest" if self.start == "rest" else "settled"
-        data = Data(record.u, record.y, record.experiments, past, self.n_init)
+        data = self.data(record)
         if data.count < self.fewest_samples() - self.n_init:
             raise EstimationError(
                 f"{data.count} samples are left after n_init, and at least "
@@ -204,7 +215,21 @@ class PredictionError(AtOneInterval):
             most_starts=self.starts,
             max_iterations=self.max_iterations,
             states=self.start == "estimated",
+            initialisation=self.initialisation,
         )
+
+    def data(self, record: Record) -> Data:
+        """The record as the criterion takes it."""
+        past: Start = "rest" if self.start == "rest" else "settled"
+        return Data(record.u, record.y, record.experiments, past, self.n_init)
+
+    def standard_errors(self, of_blocks: Sequence[Mapping[str, float]]) -> dict[str, float]:
+        """The standard errors of the linear blocks by the names of values; 0 for what is held."""
+        return {
+            f"se_{before}{name}": of_blocks[i].get(name, 0.0)
+            for i, before in self._places().items()
+            for name in self._numbers_of(i)
+        }
 
     def structure(self, dt: float | None = None) -> ChainStructure:
         """What is to be found, from samples every ``dt`` (None: discrete time)."""
@@ -236,11 +261,10 @@ class PredictionError(AtOneInterval):
         point = fit.point
         form = normal_form(point)
         errors = standard_errors(point)
-        numbers: dict[str, float] = {}
+        numbers = self.standard_errors(errors)
         for i, before in self._places().items():
             own = names(form, i)
             numbers |= {f"{before}{name}": value for name, value in zip(own, values(form, i), strict=True)}
-            numbers |= {f"se_{before}{name}": errors[i].get(name, 0.0) for name in own}
         mse = point.loss / point.data.count
         summary = (mse, fit.iterations, fit.starts, fit.finalists, fit.agreeing)
         numbers |= dict(zip(_SUMMARY, map(float, summary), strict=True))

@@ -49,19 +49,23 @@ def standard_errors(point: Point) -> tuple[Mapping[str, float], ...]:
     to the normal form by its derivative: what is free drops out there. Where states are found with the
     numbers, their part of H and S counts, and no error of theirs is given.
     """
-    free = point.parameters.free
+    return by_name(point, np.sqrt(np.maximum(np.diag(carried(point, _covariance(point))), 0.0)))
+
+
+def carried(point: Point, covariance: Array) -> Array:
+    """The covariance (P, P) of the numbers of all blocks to be found, in the normal form."""
     derivative = _derivative(point)
-    covariance = derivative @ _covariance(point) @ derivative.T
-    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return derivative @ covariance @ derivative.T
+
+
+def by_name(point: Point, numbers: Array) -> tuple[Mapping[str, float], ...]:
+    """Numbers (P,) of all blocks to be found, for each block by their names; nothing of one that is held."""
+    parameters = point.parameters
     found: list[Mapping[str, float]] = []
-    place = 0
-    for i in range(len(point.parameters.structures)):
-        if i not in free:
-            found.append({})
-            continue
-        block = names(point.parameters, i)
-        found.append(dict(zip(block, errors[place : place + len(block)].tolist(), strict=True)))
-        place += len(block)
+    waiting = iter(numbers.tolist())
+    for i in range(len(parameters.structures)):
+        block = names(parameters, i) if i in parameters.free else []
+        found.append(dict(zip(block, waiting, strict=False)))
     return tuple(found)
 
 
@@ -69,16 +73,15 @@ def _covariance(point: Point) -> Array:
     """The covariance of the numbers of all blocks to be found, each block's together, in their own form."""
     from scipy.signal import lfilter
 
-    order, states = _order(point)
-    rows = point.rows()[[*order, *states]]
+    count, rows = rows_of_numbers(point)
     lengths = np.linalg.norm(rows, axis=1)
     lengths[lengths == 0.0] = 1.0
     rows /= lengths[:, None]
     values, vectors = np.linalg.eigh(rows @ rows.T)
     known = values > FREE * values[-1]
     inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
-    count = len(point.residuals)
-    freedom = max(count - int(np.count_nonzero(known)), 1)
+    samples = len(point.residuals)
+    freedom = max(samples - int(np.count_nonzero(known)), 1)
     experiments = following(point.data.experiments, point.data.n_init)
     noise = _residual_model(point.residuals, experiments)
 
@@ -87,9 +90,15 @@ def _covariance(point: Point) -> Array:
 
     # S = J^T R J with R = variance (D^T D)^-1: the rows backwards through 1/D.
     rows = in_each(experiments, coloured, rows, axis=1)
-    meat = noise.variance * count / freedom * (rows @ rows.T)
+    meat = noise.variance * samples / freedom * (rows @ rows.T)
     covariance = inverse @ meat @ inverse / np.outer(lengths, lengths)
-    return np.asarray(covariance[: len(order), : len(order)])
+    return np.asarray(covariance[:count, :count])
+
+
+def rows_of_numbers(point: Point) -> tuple[int, Array]:
+    """How many numbers are to be found in all blocks, and the rows of these and of the states behind them."""
+    numbers, states = _order(point)
+    return len(numbers), point.rows()[[*numbers, *states]]
 
 
 def _residual_model(residuals: Array, experiments: Parts) -> ArModel:

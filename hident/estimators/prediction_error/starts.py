@@ -12,9 +12,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -36,11 +37,23 @@ _MOST_SPLITS, _MOST_OF_MANY = 64, 16
 _KERNEL_LAGS, _KERNEL_SAMPLES = 20, 10000
 
 
-def starts(structure: ChainStructure, data: Data) -> list[Point]:
+Initialisation = Literal["linear_approximation", "over_parameterised", "volterra_kernel", "shorter_chains"]
+"""One of the methods above."""
+ALL: tuple[Initialisation, ...] = get_args(Initialisation)
+
+
+def starts(
+    structure: ChainStructure, data: Data, initialisation: Collection[Initialisation] = ALL
+) -> list[Point]:
     """The starts of a chain with at most one static block to be found, the best first."""
     few = data.first(_SCORED)
-    found = [*_splits_of_approximation(structure, data, few), *_overparameterised(structure, data, few)]
-    found += _of_the_kernel(structure, data, few)
+    found: list[Point] = []
+    if "linear_approximation" in initialisation:
+        found += _splits_of_approximation(structure, data, few)
+    if "over_parameterised" in initialisation:
+        found += _overparameterised(structure, data, few)
+    if "volterra_kernel" in initialisation:
+        found += _of_the_kernel(structure, data, few)
     found.sort(key=lambda point: point.loss)
     return _spread_out(structure, found[0], few) if found and len(structure.spreads()) > 1 else found
 

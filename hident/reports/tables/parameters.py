@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from hident.arrays import Array
-from hident.config.references import EstimatorName, ValueName, value_of
+from hident.config.references import EstimatorName, MetricLabel, ValueName, value_of
 from hident.config.spec import Count, NonEmpty, component
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside
@@ -84,12 +84,23 @@ class Efficiency(TableSpec):
     """Name of the estimator of kind cramer_rao."""
     bound_metric: str
     """Name of the metric of kind value that holds its se_ values."""
+    output: MetricLabel | None = None
+    """Label of a metric of kind output_mse: adds a column, the mean of its bound over its mean."""
+    bound_output: MetricLabel | None = None
+    """Label of the bound's metric with the least output_mse."""
+
+    @model_validator(mode="after")
+    def _both_of_the_output(self) -> Self:
+        if (self.output is None) != (self.bound_output is None):
+            raise ValueError("'output' and 'bound_output' need each other")
+        return self
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         import pandas as pd
 
+        columns = (*self.of, "output") if self.output else self.of
         rows = [
-            {**results.varied(first), "estimator": estimator, **dict(zip(self.of, values, strict=True))}
+            {**results.varied(first), "estimator": estimator, **dict(zip(columns, values, strict=True))}
             for estimator in self.estimators
             for first in results.select(estimator, f"{self.metric} {self.of[0]}")
             for values in [self.efficiencies(results, estimator, first)]
@@ -98,7 +109,7 @@ class Efficiency(TableSpec):
         shown = tuple(
             tuple(
                 ("-" if np.isnan(value) else f"{value:.3f}")
-                if isinstance(value, float) and name in self.of
+                if isinstance(value, float) and name in columns
                 else str(value)
                 for name, value in zip(data.columns, row, strict=True)
             )
@@ -106,7 +117,7 @@ class Efficiency(TableSpec):
         )
         error = np.sqrt(2.0 / max(results.plan.trials - 1, 1))
         note = f"Relative standard error of each entry: {error:.3f} ({results.plan.trials} trials)."
-        statistic, heads = "squared bound over variance", len(data.columns) - len(self.of)
+        statistic, heads = "squared bound over variance", len(data.columns) - len(columns)
         return Table(self.title, tuple(map(str, data.columns)), shown, (note,), data, statistic, heads)
 
     def efficiencies(self, results: Results, estimator: str, case: Series) -> list[float]:
@@ -121,4 +132,12 @@ class Efficiency(TableSpec):
                 found += ratios([float(np.mean(bounds**2))], [float(np.var(errors, ddof=1))]).tolist()
             else:
                 found.append(float("nan"))
+        if self.output is not None:
+            error = next(results.select(estimator, self.output, labels))
+            bound = next(results.select(self.bound, self.bound_output, labels), None)
+            least = np.empty(0) if bound is None else bound.valid
+            both = len(least) and len(error.valid)
+            found += (
+                ratios([float(np.mean(least))], [float(np.mean(error.valid))]).tolist() if both else [np.nan]
+            )
         return found
