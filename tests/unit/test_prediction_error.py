@@ -476,6 +476,42 @@ class TestSearch:
         spline, linear = hi.CubicSplineBlock(knots=6), hi.LinearBlock(nb=3, nf=2)
         assert self.ratio([spline, linear, spline], y, u, 0) < 1.05
 
+    def test_cubic_polynomials_that_prefer_another_optimum_than_the_splines(self):
+        u = gaussian(2000, 0)
+        alone = TransferFunction((0.176, 0.059, 0.158), (1.229, -0.339))
+        x = alone.filter(np.tanh(u) + 0.18 * u**2)
+        x /= np.std(x)
+        y = np.tanh(x) - 0.15 * x**2
+        spline, linear = hi.CubicSplineBlock(knots=6), hi.LinearBlock(nb=3, nf=2)
+        # What splines of six knots leave of such functions is not the noise alone.
+        assert self.ratio([spline, linear, spline], y, u, 0) < 1.15
+
+    @pytest.mark.parametrize("seed", range(4))
+    def test_zeros_that_the_linear_approximation_puts_into_the_wrong_block(self, seed):
+        # Two real zeros of different blocks, near each other: noise makes a pair of them.
+        first = TransferFunction((0.173, 0.412, -0.273), (1.357, -0.733))
+        second = TransferFunction((0.329, -0.934, 0.137), (0.666, -0.511))
+        u = gaussian(2000, seed)
+        x = first.filter(u)
+        x /= np.std(x)
+        y = second.filter(x + 0.1 * x**2 - 0.05 * x**3)
+        linear = hi.LinearBlock(nb=3, nf=2)
+        assert self.ratio([linear, hi.PolynomialBlock(degree=3), linear], y, u, seed) < 1.05
+
+    def test_only_the_starts_that_are_asked_for(self):
+        record = noisy("NL")
+        found = {
+            of: hi.fit(hi.PredictionError(blocks=blocks_of("NL"), initialisation=of), record).values
+            for of in (("linear_approximation",), ("over_parameterised",))
+        }
+        every = hi.fit(hi.PredictionError(blocks=blocks_of("NL"), starts=1000), record).values["starts"]
+        assert all(0 < one["starts"] < every for one in found.values())
+
+    def test_no_start_suits_the_structure(self):
+        spec = hi.PredictionError(blocks=blocks_of("NL"), initialisation=["volterra_kernel"])
+        with pytest.raises(EstimationError, match="no start could be made"):
+            hi.fit(spec, noisy("NL"))
+
     def test_an_even_function_between_linear_blocks(self):
         u = gaussian(2000, 0)
         y = self.SECOND.filter(np.abs(self.FIRST.filter(u)))

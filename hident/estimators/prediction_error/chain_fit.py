@@ -14,7 +14,7 @@ from hident.estimators.prediction_error.descent import Descent, Status, descend
 from hident.estimators.prediction_error.excitation import require_excitation
 from hident.estimators.prediction_error.linear_start import stabilised
 from hident.estimators.prediction_error.parameters import LinearStructure, Parameters
-from hident.estimators.prediction_error.starts import ALL, Initialisation, starts
+from hident.estimators.prediction_error.starts import ALL, Initialisation, exchanged, starts
 from hident.estimators.prediction_error.structure import ChainStructure
 from hident.fitted_model import NoiseModel
 from hident.initial_states import initial_states
@@ -23,8 +23,11 @@ from hident.linear_blocks import TransferFunction
 # The race: so many samples, and iterations of each start, then of the best of them.
 _FIRST_HEAT, _SECOND_HEAT = (6000, 6), (12000, 40)
 _KEPT_OF_FIRST = 3
+# So many other splits of the roots that were found are raced.
+_EXCHANGED = 4
 # With smooth functions: so many starts, of which so many go on for so many iterations.
 _RACED_OF_SMOOTH, _KEPT_OF_SMOOTH, _SMOOTH_ITERATIONS = 6, 2, 12
+_NEAR_ONE_OPTIMUM = 0.02
 # Roots of the first noise model are no farther from 0.
 _FARTHEST_OF_NOISE = 0.99
 _MOST_STATES = 500
@@ -84,6 +87,16 @@ def fit_chain(
     finalists = distinct([one.point for one in raced], _KEPT_OF_FIRST)
     most = _SECOND_HEAT[1] if len(second.u) < len(data.u) else max_iterations
     second_heat = _heat(structure, [one.parameters for one in finalists], second, most)
+    best_so_far = np.inf
+    # Each better fit knows its roots better.
+    while second_heat[0].point.loss < (1.0 - _SAME) * best_so_far:
+        best_so_far = second_heat[0].point.loss
+        others = exchanged(structure, second_heat[0].point.parameters.chain, first)[:_EXCHANGED]
+        if not others:
+            break
+        raced = _heat(structure, [one.parameters for one in others], first, _FIRST_HEAT[1])
+        second_heat += _heat(structure, [raced[0].point.parameters], second, most)
+        second_heat.sort(key=lambda one: one.point.loss)
     smooth = structure.smooth(first.u)
     if _agreeing(second_heat) == 1 and smooth is not structure:
         # Of several static blocks the starts were smooth already.
@@ -156,7 +169,8 @@ def _smooth_starts(
 ) -> list[Point]:
     """Where the chain with smooth functions comes to from these points, as starts of the chain itself."""
     raced = _heat(smooth, [one.parameters for one in points], first, _FIRST_HEAT[1])
-    best = distinct([one.point for one in raced], _KEPT_OF_SMOOTH)
+    # Those near one optimum count once: another one may be the better one for richer functions.
+    best = distinct([one.point for one in raced], _KEPT_OF_SMOOTH, _NEAR_ONE_OPTIMUM)
     fitted = _heat(smooth, [one.parameters for one in best], first, _SMOOTH_ITERATIONS)
     found = [point_at(first, structure.ranged(first, one.point.parameters)) for one in fitted]
     return sorted((one for one in found if one is not None), key=lambda one: one.loss)
@@ -172,11 +186,11 @@ def _lengthened(structure: ChainStructure, i: int, point: Point, data: Data) -> 
     return [] if made is None else [made]
 
 
-def distinct(points: Sequence[Point], most: int) -> list[Point]:
-    """The best points, those of one loss once."""
+def distinct(points: Sequence[Point], most: int, within: float = 1e-9) -> list[Point]:
+    """The best points, those of one loss, up to a part of it, once."""
     found: list[Point] = []
     for point in sorted(points, key=lambda one: one.loss):
-        if len(found) < most and not any(abs(point.loss - one.loss) <= 1e-9 * one.loss for one in found):
+        if len(found) < most and not any(abs(point.loss - one.loss) <= within * one.loss for one in found):
             found.append(point)
     return found
 

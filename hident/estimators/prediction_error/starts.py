@@ -20,6 +20,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from hident.arrays import Array, Complex
+from hident.block_chain import BlockChain
 from hident.estimators.prediction_error.allocations import block, fits, parted, splits
 from hident.estimators.prediction_error.criterion import Data, Point, least_squares, point_at
 from hident.estimators.prediction_error.descent import norm
@@ -34,6 +35,8 @@ _APPROXIMATED, _SCORED = 20000, 4000
 _MOST_ROOTS = 6
 # Between two blocks, all splits of six roots; between more, some of them.
 _MOST_SPLITS, _MOST_OF_MANY = 64, 16
+# Of so many roots, all splits are tried again with those of a fit.
+_FEW_ROOTS = 4
 _KERNEL_LAGS, _KERNEL_SAMPLES = 20, 10000
 
 
@@ -142,6 +145,32 @@ def _best_splits(
                 best = point
         if best is not None:
             yield best
+
+
+def exchanged(structure: ChainStructure, found: BlockChain, data: Data) -> list[Point]:
+    """Other splits of the poles and zeros that a fit has found between its linear blocks, the best first.
+
+    A linear approximation knows its roots from what the nonlinearity distorts; a fit that put one into the
+    wrong block knows all of them better. Only of so few that all splits can be tried.
+    """
+    wanted = structure.linear
+    if len(wanted) != 2:
+        return []
+    delays = [one.nk for one in wanted.values()]
+    of_blocks = [one for i in wanted if isinstance(one := found.blocks[i], TransferFunction)]
+    zeros = np.concatenate([_zeros(one, delay) for one, delay in zip(of_blocks, delays, strict=True)])
+    poles = np.concatenate([one.poles() for one in of_blocks])
+    if max(len(zeros), len(poles)) > _FEW_ROOTS:
+        return []
+    sizes = [(one.nb, one.nf) for one in wanted.values()]
+    points: list[Point] = []
+    for p, z in product(splits(poles, 2, _MOST_SPLITS), splits(zeros, 2, _MOST_SPLITS)):
+        if fits(z, p, sizes):
+            roots = zip(wanted, z, p, delays, strict=True)
+            linear = {i: block(own_zeros, own_poles, delay) for i, own_zeros, own_poles, delay in roots}
+            if (point := scored(structure, linear, data)) is not None:
+                points.append(point)
+    return sorted(points, key=lambda point: point.loss)
 
 
 def _zeros(model: TransferFunction, delay: int) -> Complex:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated, Self
+from collections.abc import Iterator, Sequence
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from hident.arrays import Array
 from hident.config.references import EstimatorName, MetricLabel, ValueName, value_of
 from hident.config.spec import Count, NonEmpty, component
+from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside
-from hident.reports.base import Table, TableSpec, first_case
+from hident.reports.base import Misfit, Table, TableSpec, first_case, unscored
 from hident.reports.tables.writing import judged, legend
 
 
@@ -85,15 +86,11 @@ class Efficiency(TableSpec):
     bound_metric: str
     """Name of the metric of kind value that holds its se_ values."""
     output: MetricLabel | None = None
-    """Label of a metric of kind output_mse: adds a column, the mean of its bound over its mean."""
-    bound_output: MetricLabel | None = None
-    """Label of the bound's metric with the least output_mse."""
+    """Label of a metric of kind output_mse: a column more, its mean under that of the bound."""
 
-    @model_validator(mode="after")
-    def _both_of_the_output(self) -> Self:
-        if (self.output is None) != (self.bound_output is None):
-            raise ValueError("'output' and 'bound_output' need each other")
-        return self
+    def misfits(self, plan: Plan) -> Iterator[Misfit]:
+        if self.output is not None:
+            yield from unscored(plan, ("output",), self.bound, f"{self.bound_metric} output_mse")
 
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         import pandas as pd
@@ -134,7 +131,7 @@ class Efficiency(TableSpec):
                 found.append(float("nan"))
         if self.output is not None:
             error = next(results.select(estimator, self.output, labels))
-            bound = next(results.select(self.bound, self.bound_output, labels), None)
+            bound = next(results.select(self.bound, f"{self.bound_metric} output_mse", labels), None)
             least = np.empty(0) if bound is None else bound.valid
             both = len(least) and len(error.valid)
             found += (
