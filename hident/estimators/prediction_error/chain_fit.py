@@ -87,16 +87,7 @@ def fit_chain(
     finalists = distinct([one.point for one in raced], _KEPT_OF_FIRST)
     most = _SECOND_HEAT[1] if len(second.u) < len(data.u) else max_iterations
     second_heat = _heat(structure, [one.parameters for one in finalists], second, most)
-    best_so_far = np.inf
-    # Each better fit knows its roots better.
-    while second_heat[0].point.loss < (1.0 - _SAME) * best_so_far:
-        best_so_far = second_heat[0].point.loss
-        others = exchanged(structure, second_heat[0].point.parameters.chain, first)[:_EXCHANGED]
-        if not others:
-            break
-        raced = _heat(structure, [one.parameters for one in others], first, _FIRST_HEAT[1])
-        second_heat += _heat(structure, [raced[0].point.parameters], second, most)
-        second_heat.sort(key=lambda one: one.point.loss)
+    second_heat = _with_exchanges(structure, second_heat, first, second, most)
     smooth = structure.smooth(first.u)
     if _agreeing(second_heat) == 1 and smooth is not structure:
         # Of several static blocks the starts were smooth already.
@@ -123,10 +114,31 @@ def fit_chain(
         [best] = _heat(structure, [best.point.parameters], data, max_iterations)
         evaluations, iterations = evaluations + best.evaluations, iterations + best.iterations
     if ar or ma:
-        with_noise = descend(_with_noise(best.point, ar, ma), max_iterations)
-        evaluations, iterations = evaluations + with_noise.evaluations, iterations + with_noise.iterations
-        best = with_noise
+        # Of several optima, the noise model may prefer another one than output error does.
+        is_whole = best is second_heat[0]
+        others = distinct([one.point for one in second_heat], _KEPT_OF_FIRST, _SAME)[1:] if is_whole else []
+        modelled = [descend(_with_noise(one, ar, ma), max_iterations) for one in (best.point, *others)]
+        best = min(modelled, key=lambda one: one.point.loss)
+        evaluations += sum(one.evaluations for one in modelled)
+        iterations += best.iterations
     return ChainFit(best.point, best.status, iterations, evaluations, len(points), len(second_heat), agreeing)
+
+
+def _with_exchanges(
+    structure: ChainStructure, found: list[Descent], first: Data, second: Data, most: int
+) -> list[Descent]:
+    """The fits, the best first, with those from other splits of the roots between two linear blocks."""
+    least = np.inf
+    # Each better fit knows its roots better.
+    while found[0].point.loss < (1.0 - _SAME) * least:
+        least = found[0].point.loss
+        others = exchanged(structure, found[0].point.parameters.chain, first)[:_EXCHANGED]
+        if not others:
+            break
+        raced = _heat(structure, [one.parameters for one in others], first, _FIRST_HEAT[1])
+        more = _heat(structure, [raced[0].point.parameters], second, most)
+        found = sorted((*found, *more), key=lambda one: one.point.loss)
+    return found
 
 
 def _agreeing(found: Sequence[Descent]) -> int:
