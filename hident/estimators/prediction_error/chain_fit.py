@@ -27,7 +27,7 @@ _KEPT_OF_FIRST = 3
 _EXCHANGED = 4
 # With smooth functions: so many starts, of which so many go on for so many iterations.
 _RACED_OF_SMOOTH, _KEPT_OF_SMOOTH, _SMOOTH_ITERATIONS = 6, 2, 12
-_NEAR_ONE_OPTIMUM = 0.02
+_NEAR_ONE_OPTIMUM, _ONE_LOSS = 0.02, 1e-9
 # Roots of the first noise model are no farther from 0.
 _FARTHEST_OF_NOISE = 0.99
 _MOST_STATES = 500
@@ -181,8 +181,9 @@ def _smooth_starts(
 ) -> list[Point]:
     """Where the chain with smooth functions comes to from these points, as starts of the chain itself."""
     raced = _heat(smooth, [one.parameters for one in points], first, _FIRST_HEAT[1])
-    # Those near one optimum count once: another one may be the better one for richer functions.
-    best = distinct([one.point for one in raced], _KEPT_OF_SMOOTH, _NEAR_ONE_OPTIMUM)
+    # Of several functions, those near one optimum count once: richer ones may prefer another one.
+    within = _NEAR_ONE_OPTIMUM if len(structure.free_static) > 1 else _ONE_LOSS
+    best = distinct([one.point for one in raced], _KEPT_OF_SMOOTH, within)
     fitted = _heat(smooth, [one.parameters for one in best], first, _SMOOTH_ITERATIONS)
     found = [point_at(first, structure.ranged(first, one.point.parameters)) for one in fitted]
     return sorted((one for one in found if one is not None), key=lambda one: one.loss)
@@ -198,7 +199,7 @@ def _lengthened(structure: ChainStructure, i: int, point: Point, data: Data) -> 
     return [] if made is None else [made]
 
 
-def distinct(points: Sequence[Point], most: int, within: float = 1e-9) -> list[Point]:
+def distinct(points: Sequence[Point], most: int, within: float = _ONE_LOSS) -> list[Point]:
     """The best points, those of one loss, up to a part of it, once."""
     found: list[Point] = []
     for point in sorted(points, key=lambda one: one.loss):
