@@ -17,7 +17,7 @@ from pydantic import PlainValidator, WithJsonSchema
 from hident.arrays import Array, Flags, Index
 from hident.errors import EstimationError
 from hident.numerics.choices import first_least
-from hident.numerics.parts import in_each, joined, longer_than
+from hident.numerics.parts import Parts, in_each, joined, longer_than
 from hident.records import Record, needed
 
 FEWEST_PAIRS = 4
@@ -82,8 +82,7 @@ def delayed(record: Record, delay: int, first: int | None = None) -> SomeSamples
     long = longer_than(record.experiments, first)
     if not long:
         raise EstimationError(f"no experiment holds more than the {first} samples that the delay takes")
-    u = in_each(long, lambda u: u[first - delay : len(u) - delay], record.u)
-    y = in_each(long, lambda y: y[first:], record.y)
+    u, y = _pairs(record, long, delay, first)
     u.flags.writeable = y.flags.writeable = False
     places = joined(part.stop - part.start - first for part in long)
     named = [(name, part) for name, part in record.parts.items() if part.samples in long]
@@ -95,6 +94,12 @@ def delayed(record: Record, delay: int, first: int | None = None) -> SomeSamples
     for part in long:
         kept[part.start + first : part.stop] = True
     return SomeSamples(u, y, record.dt, record.truth, parts, whole=record, kept=kept)
+
+
+def _pairs(record: Record, long: Parts, delay: int, first: int) -> tuple[Array, Array]:
+    """u_{k-delay} and y_k, k = ``first``, ..., of the experiments in ``long``."""
+    u = in_each(long, lambda u: u[first - delay : len(u) - delay], record.u)
+    return u, in_each(long, lambda y: y[first:], record.y)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,18 +211,19 @@ def late(record: Record, largest: int) -> int:
         return 0
     if not np.isfinite(record.y).all() or (newest := _by_chance(record.u, record.y)) < _CERTAIN:
         return 0
-    later = [delayed(record, delay) for delay in range(1, largest + 1)]
-    chances = [1.0, *(_by_chance(pairs.u, pairs.y) for pairs in later)]
+    lags = range(1, largest + 1)
+    pairs = {lag: _pairs(record, longer_than(record.experiments, lag), lag, lag) for lag in lags}
+    chances = [1.0, *(_by_chance(u, y) for u, y in pairs.values())]
     best = int(np.argmin(chances))
     least = max(chances[best], _LEAST)
     if least >= _NEVER or newest <= min(_UNLIKELY, least**_BESIDE):
         return 0
-    return 0 if any(_alike(record, pairs) > _ALIKE for pairs in later) else best
+    return 0 if any(_alike(record, lag) > _ALIKE for lag in lags) else best
 
 
-def _alike(record: Record, pairs: SomeSamples) -> float:
-    """The size of the correlation of the inputs of the pairs with those at their own time."""
-    now, before = record.u[needed(pairs.kept)], pairs.u
+def _alike(record: Record, lag: int) -> float:
+    """The size of the correlation of inputs ``lag`` samples apart."""
+    before, now = _pairs(replace(record, y=record.u), longer_than(record.experiments, lag), lag, lag)
     size = np.std(now) * np.std(before)
     return float(abs(np.mean((now - now.mean()) * (before - before.mean()))) / size) if size > 0.0 else 0.0
 
