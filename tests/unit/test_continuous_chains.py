@@ -149,7 +149,7 @@ def test_discrete_and_continuous_blocks_stand_in_one_chain():
     spec = hi.PredictionError(blocks=blocks, start="rest")
     found = hi.fit(spec, Record(u, y, DT))
     np.testing.assert_allclose(model_of(found).simulate(u), y, rtol=0.0, atol=1e-7 * float(np.std(y)))
-    assert found.values["l2_a_1"] == pytest.approx(0.7, rel=1e-6)
+    assert found.values["output_a_1"] == pytest.approx(0.7, rel=1e-6)
     # Behind a discrete block the input is held, and its letters have no meaning of their own.
     assert model_of(found).chain.linear[1].intersample == "held"
     assert spec.letters() == {}
@@ -237,13 +237,13 @@ class TestBetweenSamples:
         found, fine = self.values(0.05)
         assert coarse < 1e-3
         assert 3.0 < coarse / fine < 6.0
-        assert found["l2_a_1"] == pytest.approx(1.0, rel=1e-3)
-        assert found["l2_a_2"] == pytest.approx(0.5, rel=1e-3)
+        assert found["output_a_1"] == pytest.approx(1.0, rel=1e-3)
+        assert found["output_a_2"] == pytest.approx(0.5, rel=1e-3)
 
     def test_held_inputs_are_late_by_half_a_sample(self):
         found, left = self.values(0.1, intersample="held")
         assert left > 10.0 * self.values(0.1)[1]
-        assert abs(found["l2_a_2"] / 0.5 - 1.0) > 0.05
+        assert abs(found["output_a_2"] / 0.5 - 1.0) > 0.05
 
 
 class TestGivenBlocks:

@@ -157,8 +157,8 @@ def test_between_continuous_blocks():
     y = BlockChain((first, of(BENT, 0.3, 1.0, 0.2), second)).response(u)
     blocks = [hi.ContinuousBlock(n=1), hi.ExpansionBlock(basis=BENT), hi.ContinuousBlock(n=2)]
     found = hi.fit(hi.PredictionError(blocks=blocks, start="rest"), Record(u, y, dt))
-    assert found.values["l1_b_0"] == pytest.approx(1.0, rel=1e-6)
-    assert found.values["l2_a_2"] == pytest.approx(0.3, rel=1e-6)
+    assert found.values["input_b_0"] == pytest.approx(1.0, rel=1e-6)
+    assert found.values["output_a_2"] == pytest.approx(0.3, rel=1e-6)
 
 
 def test_alternating_blocks_with_given_functions_and_a_continuous_block():

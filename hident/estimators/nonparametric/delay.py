@@ -18,7 +18,7 @@ from hident.arrays import Array, Flags, Index
 from hident.errors import EstimationError
 from hident.numerics.choices import first_least
 from hident.numerics.parts import Parts, in_each, joined, longer_than
-from hident.records import Record, needed
+from hident.records import Record
 
 FEWEST_PAIRS = 4
 """Pairs with which delays can be compared: two bins of two."""

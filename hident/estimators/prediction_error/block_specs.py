@@ -126,9 +126,10 @@ class LinearBlock(DynamicSpec):
 
 @component("block", "continuous", source="Chen, Hwang, Chang 2009, eq. (1), (9)")
 class ContinuousBlock(DynamicSpec):
-    """Continuous block (b_0 + ... + b_m s^m) e^(-delay s)/(1 + a_1 s + ... + a_n s^n), exact at the samples.
+    """Continuous block (b_0 + ... + b_m s^m) e^(-delay s) / (1 + a_1 s + ... + a_n s^n).
 
-    It is stable. Records need a sampling interval, in the unit of which times and coefficients are.
+    It is exact at the samples, and stable. Records need a sampling interval, in whose unit times and
+    coefficients are.
 
     Examples
     --------
