@@ -29,8 +29,9 @@ class Table:
     def markdown(self) -> str:
         """The table in Markdown, its columns aligned."""
         rows = [tuple(cell.replace("|", "\\|") for cell in row) for row in (self.header, *self.rows)]
-        widths = [max(len(row[i]) for row in rows) for i in range(len(self.header))]
-        left = [all(not is_number(row[i]) for row in self.rows) for i in range(len(widths))]
+        left = [all(not is_number(row[i]) for row in self.rows) for i in range(len(self.header))]
+        # The rule of a column of numbers is a dash and a colon at least.
+        widths = [max(1 if left[i] else 2, *(len(row[i]) for row in rows)) for i in range(len(left))]
 
         def line(row: Sequence[str]) -> str:
             cells = [

@@ -171,6 +171,11 @@ def test_agreement_says_for_each_setting_which_printed_numbers_the_trials_allow(
     assert {(row[2], row[5]) for row in table.rows if row[0] == "two"} == {("-", "1 of 1")}
 
 
+def test_a_narrow_column_of_numbers_has_a_rule():
+    table = Table("T", ("h", "n"), (("a", "1"), ("b", "2")))
+    assert table.markdown().splitlines()[2:] == ["| h |  n |", "| - | -: |", "| a |  1 |", "| b |  2 |"]
+
+
 def test_markdown_is_aligned_and_bars_are_escaped():
     table = Table("T", ("name", "value"), (("|u|", "1.5"), ("b", "-10")), ("a note",))
     assert table.markdown().splitlines() == [
