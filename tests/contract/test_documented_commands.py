@@ -28,6 +28,7 @@ RUN_BY = {
     "docs/reproducing.md": dict.fromkeys(("yaml", "csv", "console", "text"), WAYS),
     "docs/robustness.md": {"": MAKE},
     "docs/scale.md": dict.fromkeys(("bash", "console", "python", "dockerfile"), CLUSTERS),
+    "docs/site.md": {"sh": "test_report_serve.py"},
     "docs/tutorial.md": dict.fromkeys(("yaml", "console", "text"), WAYS),
 }
 

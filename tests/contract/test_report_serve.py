@@ -18,6 +18,7 @@ import pytest
 from hident.commands.serving import HOST, state
 from hident.engine.run_files import PAGE
 from tests.accepted import RESULTS
+from tests.documented import blocks
 from tests.forked import Forked, run_forked
 
 _LONGEST = 120.0
@@ -62,6 +63,17 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     yield served
     served.process.kill()
     served.process.wait()
+
+
+def test_the_commands_of_the_page(tmp_path: Path) -> None:
+    shell = "".join(blocks("docs/site.md", "sh"))
+    report, serve = re.findall(r"^hident (.*?) +#", shell, re.M)
+    assert serve == f"{report} --serve"
+    # What the page says of a folder without out/.
+    shutil.copytree(RESULTS / "mzyk_table1", tmp_path / "results/mzyk_table1")
+    done = run_forked(report.split(), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert TITLE in (tmp_path / "site/runs/mzyk_table1.html").read_text()
 
 
 def test_the_site_is_served(served: Served) -> None:
