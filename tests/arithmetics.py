@@ -44,6 +44,7 @@ CHECKED = (
     "mzyk_table1_grid",
     "mzyk_variance",
     "pem_against_two_stage",
+    "pem_recovery",
     "wang_efficiency",
 )
 

@@ -11,6 +11,7 @@ import atexit
 import contextlib
 import faulthandler
 import functools
+import gc
 import multiprocessing
 import os
 import pickle
@@ -122,6 +123,8 @@ def _become(
 ) -> NoReturn:
     """Be the program, and end as it ends: nothing of the tests goes on in this process."""
     code = 99
+    # What the tests have left to collect has descriptors, whose numbers are others' here.
+    gc.freeze()
     try:
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGALRM, signal.SIG_DFL)

@@ -19,9 +19,11 @@ CONFIGURATIONS = (
     "chen_fig9",
     "compare_hammerstein",
     "compare_selection",
+    "data_chosen",
     "mzyk_rates",
     "mzyk_reading",
     "mzyk_table1",
+    "pem_starts",
     "wang_efficiency",
     "wang_table1",
 )

@@ -261,6 +261,7 @@ def test_without_axes_there_is_one_case(tmp_path):
 NO_SCORES = {
     *("value", "true_value", "share", "coverage", "nonlinearity_value", "settling_time", "moved_delay"),
     *("response", "true_response", "residual_test", "disturbance_variance", "disturbance_variance_formula"),
+    *("static_function", "frequency_response", "model_output"),
 }
 
 

@@ -14,7 +14,7 @@ from hident.config.spec import Flag, Real, component
 from hident.engine.experiment import load
 from hident.engine.results import Results, Series
 from hident.errors import ConfigError, EstimationError, SimulationError
-from hident.estimators.base import EstimatorSpec
+from hident.estimators.base import CONTINUOUS, EstimatorSpec
 from hident.estimators.convergence import History
 from hident.estimators.moving_horizon.searches import PartitionSearch, StructureSearch
 from hident.ledger.verdicts import judge
@@ -94,6 +94,9 @@ class Stated(EstimatorSpec):
             return frozenset({"value a_1", "value b_0"})
         names = ("a_1", "b_0", "u_-1", "u_1", "y_-1", "y_1")
         return frozenset({"response", "nonlinearity", "continuous", *(f"value {name}" for name in names)})
+
+    def letters(self):
+        return CONTINUOUS
 
     def fit(self, record, rng=None):
         if self.fails:

@@ -80,8 +80,6 @@ def delayed(record: Record, delay: int, first: int | None = None) -> SomeSamples
     """
     first = delay if first is None else first
     long = longer_than(record.experiments, first)
-    if not long:
-        raise EstimationError(f"no experiment holds more than the {first} samples that the delay takes")
     u, y = _pairs(record, long, delay, first)
     u.flags.writeable = y.flags.writeable = False
     places = joined(part.stop - part.start - first for part in long)
@@ -98,6 +96,8 @@ def delayed(record: Record, delay: int, first: int | None = None) -> SomeSamples
 
 def _pairs(record: Record, long: Parts, delay: int, first: int) -> tuple[Array, Array]:
     """u_{k-delay} and y_k, k = ``first``, ..., of the experiments in ``long``."""
+    if not long:
+        raise EstimationError(f"no experiment holds more than the {first} samples that the delay takes")
     u = in_each(long, lambda u: u[first - delay : len(u) - delay], record.u)
     return u, in_each(long, lambda y: y[first:], record.y)
 
