@@ -160,6 +160,7 @@ def _model(found: Identification, record: Record, spec: MeasuredRecord) -> Fitte
         "command": shlex.join(["hident", *sys.argv[1:]]),
         "chosen_on": found.parts.said,
         "offsets": dict(record.offsets),
+        **({"detrend": spec.detrend} if spec.detrend else {}),
     }
     ranges = tuple((float(np.min(x)), float(np.max(x))) for x in signals)
     return replace(model, about=about, ranges=ranges)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,8 @@ def print_model(file: Path, out: Path | None) -> None:
     """Print the formulas of a model, and write its figures to a folder if one is given."""
     model = load_model(file)
     print(formulas(model))
+    if said := _level(model):
+        print(f"\n{said}")
     if out is not None:
         names = draw_model(model, out)
         print(f"\n{out}: {', '.join(names)}")
@@ -67,6 +70,8 @@ def convert_model(file: Path, to: str, out: Path | None) -> None:
     """Print the source that a model is converted to, or write it to a file."""
     wanted = target(to)
     model = load_model(file)
+    if said := _level(model):
+        print(f"note: {said}: the source does neither", file=sys.stderr)
     if out is None:
         print(wanted.source(model, "response"), end="")
         return
@@ -76,6 +81,20 @@ def convert_model(file: Path, to: str, out: Path | None) -> None:
     with replacing(out) as new:
         new.write_text(source, encoding="utf-8")
     print(f"{out}: {wanted.meaning}")
+
+
+def _offsets(model: FittedModel) -> tuple[float, float]:
+    """What was taken off the input and the output before the fit."""
+    found = model.about.get("offsets", {})
+    return float(found.get("input", 0.0)), float(found.get("output", 0.0))
+
+
+def _level(model: FittedModel) -> str:
+    """What must be done to the samples of a model that was fitted to others, in words."""
+    if model.about.get("detrend") == "linear":
+        return "straight lines were taken off the input and the output before the fit, and go on nowhere else"
+    u, y = _offsets(model)
+    return f"{u:.6g} is taken off the input, and {y:.6g} added to the output" if u or y else ""
 
 
 def simulate_model(
@@ -154,14 +173,17 @@ class _Run:
     ) -> None:
         self.model, self.record, self.column, self.compare = model, record, column, compare
         self.steps, self.n_init = steps, n_init
+        u, y = _offsets(model)
+        self.level = replace(record, u=record.u - u, y=record.y - y) if u or y else record
+        """The record as the model knows it."""
         with np.errstate(all="ignore"):
             # Without a column to compare with, the output of the record means nothing.
-            self.signals = model.signals(record) if compare is not None else self._of_inputs()
-            self.made = model.predict(record, steps) if steps else self.signals[-1]
+            self.signals = model.signals(self.level) if compare is not None else self._of_inputs()
+            self.made = y + (model.predict(self.level, steps) if steps else self.signals[-1])
         self.how = f"{steps}-step prediction" if steps else "simulation"
 
     def _of_inputs(self) -> tuple[Array, ...]:
-        pieces = [self.model.signals(self.record.u[part]) for part in self.record.experiments]
+        pieces = [self.model.signals(self.level.u[part]) for part in self.record.experiments]
         return tuple(np.concatenate(one) for one in zip(*pieces, strict=True))
 
     def _begun(self) -> str:
@@ -170,7 +192,7 @@ class _Run:
             return "begun settled to the first input: --compare tells the states at the first sample"
         found = []
         for part in self.record.experiments:
-            u, y = self.record.u[part], self.record.y[part]
+            u, y = self.level.u[part], self.level.y[part]
             if self.model.known(u, y) is not None:
                 found.append("that the fit found for these samples")
             else:
@@ -217,6 +239,7 @@ class _Run:
         lines = [
             f"{data}: {len(made)} samples of '{self.column}', {self.how} by {chain.structure}",
             *([self._begun()] if self.model.start == "estimated" else []),
+            *([said] if (said := _level(self.model)) else []),
             f"output from {made.min():.5g} to {made.max():.5g}{unit}, mean {made.mean():.5g}",
         ]
         if self.compare is not None:

@@ -23,7 +23,8 @@ of its samples, and the state of each linear block at the first of them (``zi`` 
 that settled to the first input).
 
 ``about`` may hold anything. What other parts of hident look for there is checked: ``input`` and ``output``
-(names of columns), ``units`` (of ``input``, ``output`` and ``time``), ``data`` (the SHA-256 of each file),
+(names of columns), ``units`` (of ``input``, ``output`` and ``time``), ``offsets`` (what was taken off the
+``input`` and the ``output`` before the fit) and ``detrend`` (how), ``data`` (the SHA-256 of each file),
 ``hident`` (version), ``command`` and ``method``.
 """
 
@@ -360,6 +361,8 @@ class _About(Spec):
     input: str = ""
     output: str = ""
     units: _Units = _Units()
+    offsets: dict[Literal["input", "output"], _Number] = {}
+    detrend: str = ""
     data: dict[str, str] = {}
     hident: str = ""
     command: str = ""

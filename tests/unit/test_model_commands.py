@@ -72,6 +72,22 @@ def test_a_simulation_is_told_and_written(folder):
         assert picture.size[0] > 600
 
 
+def test_what_was_taken_off_before_the_fit_is_taken_off_and_added(folder):
+    hi.write_model(
+        replace(MODEL, about={**MODEL.about, "offsets": {"input": 20.0, "output": 98.0}}), folder / "off.json"
+    )
+    save(folder / "off.csv", t=4.0 * np.arange(len(U)), u=U + 20.0, y=Y + 98.0)
+    level = said(folder, "simulate tank.json tank.csv --compare y --time t").splitlines()
+    shown = said(folder, "simulate off.json off.csv --compare y --time t").splitlines()
+    assert shown[-1] == level[-1]
+    assert "20 is taken off the input, and 98 added to the output" in shown
+    assert shown[-2].startswith(f"output from {MODEL.simulate(U).min() + 98.0:.5g} to ")
+    assert shown[-2] != level[-2]
+    assert "20 is taken off the input" in said(folder, "show off.json")
+    done = run_forked(["convert", "off.json", "--to", "python"], folder)
+    assert "98 added to the output: the source does neither" in done.stderr
+
+
 def test_without_a_measured_output_there_is_nothing_to_compare(folder):
     shown = said(folder, "simulate tank.json tank.csv --out sim.csv")
     assert "against" not in shown
