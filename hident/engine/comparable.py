@@ -168,9 +168,20 @@ def truth_for(
     """
     if why := _why_others(metric, "estimator", estimator, truth):
         raise ValueError(why)
-    if not is_as_declared(metric):
+    rules = [rule.of(estimate) for rule, _ in governed(metric, estimator)]
+    if is_as_declared(metric):
+        return brought(truth, rules, dt)
+    if not _keeps_sign(metric):
         return truth
-    return brought(truth, [rule.of(estimate) for rule, _ in governed(metric, estimator)], dt)
+    # Of a truth with the other sign the nearest positive factor of any estimate would be 0.
+    signs = [rule.of_signs() for rule in rules]
+    return brought(truth, [rule for rule in signs if _can_be_kept(rule, truth, dt)], dt)
+
+
+def _keeps_sign(metric: MetricSpec) -> bool:
+    """Whether the metric chooses a factor and not its sign, which then is that of the estimator's rule."""
+    up_to = metric.up_to if isinstance(metric, Comparing) else None
+    return up_to is not None and "gain" in up_to and "sign" not in up_to
 
 
 def form_of(

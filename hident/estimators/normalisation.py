@@ -7,6 +7,7 @@ only where that keeps the rule too: the same system, with the factor moved, does
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
@@ -74,6 +75,15 @@ class Normalisation:
     def leaving(self, *left: Freedom, says: str = "") -> Normalisation:
         """The rule of a method that does not fix these, with what it ``says`` of them."""
         return replace(self, rule=self.rule + says, free=self.free | {*left}, left=self.left | {*left})
+
+    def of_signs(self) -> Normalisation:
+        """The rule for the signs of the factors alone."""
+
+        def signs(truth: Truth, dt: float | None) -> Factors | None:
+            found = self.factors(truth, dt)
+            return found and {place: math.copysign(1.0, factor) for place, factor in found.items()}
+
+        return replace(self, factors=signs)
 
     def off(self, truth: Truth, dt: float | None) -> Factors:
         """What the blocks must be divided by; empty where the system keeps the rule, or does not say.

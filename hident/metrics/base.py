@@ -102,7 +102,8 @@ class Comparing(MetricSpec):
 
     up_to: tuple[Freedom, ...] | None = None
     """What no data determine and is chosen for the least error: gain, sign, delay, constant; []: nothing, the
-    values as they are written. Left out or without gain, the truth is brought to the estimator's form."""
+    values as they are written. Left out or without gain, the truth is brought to the estimator's form;
+    with gain and without sign, to its sign."""
 
     @field_validator("up_to")
     @classmethod

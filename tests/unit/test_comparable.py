@@ -167,8 +167,8 @@ def test_a_factor_that_is_asked_for_is_the_best_one(plan_of):
     two_stage = "{kind: two_stage, lags: 2, degree: 2}"
     for b, up_to, least, most in (
         ("[0, 4, 2]", "[gain]", 0.0, 1.0),
-        # The method holds b_1 > 0: no positive factor turns the nonlinearity round.
-        ("[0, -4, -2]", "[gain]", 100.0, 100.0),
+        # The method holds b_1 > 0, and what is not listed stays in its form.
+        ("[0, -4, -2]", "[gain]", 0.0, 1.0),
         ("[0, -4, -2]", "[gain, sign]", 0.0, 1.0),
         ("[0, -0.8, -0.6]", "[sign]", 0.0, 2.0),
     ):
