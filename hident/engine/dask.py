@@ -154,10 +154,14 @@ def local(workers: int, terms: Terms) -> Workers:
             n_workers=workers,
             threads_per_worker=1,
             memory_limit=0,
-            dashboard_address=None,
             silence_logs=logging.CRITICAL,
             # A chunk whose worker died is sent again by the run, as with other processes of this machine.
-            scheduler_kwargs={"allowed_failures": 0},
+            # A scheduler without a dashboard listens at port 8787 all the same, if it is not told another.
+            scheduler_kwargs={
+                "allowed_failures": 0,
+                "dashboard": False,
+                "dashboard_address": "127.0.0.1:0",
+            },
         )
         return Client(cluster, set_as_default=False)
 
