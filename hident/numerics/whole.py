@@ -6,6 +6,8 @@ by a sample.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -54,5 +56,7 @@ def nearest_whole(value: float, tolerance: float = _CLOSE) -> int | None:
     3
     >>> nearest_whole(2.5)
     """
+    if not math.isfinite(value):
+        return None
     whole = round(value)
     return whole if whole >= 1 and abs(value - whole) <= tolerance * whole else None

@@ -247,6 +247,12 @@ class TestErrors:
         ):
             VorosWiener(n=2, m=2, degree=3, step=0.5).check(1000, 0.2)
 
+    def test_a_step_beyond_all_numbers_of_samples(self):
+        with pytest.raises(
+            ValueError, match=r"^'step' must be a multiple of the sampling interval 0\.2, not 1e\+308$"
+        ):
+            VorosWiener(n=2, m=2, degree=3, step=1e308).check(1000, 0.2)
+
     def test_a_step_that_leaves_too_little(self):
         spec = VorosWiener(n=2, m=2, degree=3, step=1)
         spec.check(111, 0.1)

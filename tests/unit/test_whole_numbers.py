@@ -34,3 +34,5 @@ def test_no_whole_number_is_near_what_lies_between_or_below_one():
     assert nearest_whole(0.0) is None
     assert nearest_whole(1000.0 + 1e-7) == 1000
     assert nearest_whole(1000.0 + 1e-7, 1e-12) is None
+    assert nearest_whole(np.inf) is None
+    assert nearest_whole(np.nan) is None

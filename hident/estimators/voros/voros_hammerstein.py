@@ -15,6 +15,7 @@ taken from the iteration before.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Self
@@ -241,12 +242,12 @@ class VorosSpec(AtOneInterval):
         """The samples of the record in a step."""
         if self.step is None:
             return 1
-        ratio = nearest_whole(self.step / dt)
+        quotient = self.step / dt
+        ratio = nearest_whole(quotient)
         if ratio is None:
-            near = max(round(self.step / dt), 1) * dt
+            near = f": {max(round(quotient), 1) * dt:g} is the nearest" if math.isfinite(quotient) else ""
             raise ValueError(
-                f"'step' must be a multiple of the sampling interval {dt:g}, not {self.step:g}: "
-                f"{near:g} is the nearest"
+                f"'step' must be a multiple of the sampling interval {dt:g}, not {self.step:g}{near}"
             )
         return ratio
 
