@@ -15,6 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BeforeValidator,
@@ -403,6 +404,7 @@ class Plan:
         return self._files[path]
 
 
+@np.errstate(all="ignore")
 def load(
     source: Path | Document,
     assignments: Sequence[str] = (),

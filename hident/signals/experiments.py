@@ -49,7 +49,7 @@ class LogSpaced(Spec):
     """Lowest angular frequency, radians per unit of time."""
     high: Positive
     """Highest angular frequency, radians per unit of time."""
-    count: Annotated[Count, Field(ge=2)]
+    count: Annotated[Count, Field(ge=2, le=10_000)]
     """Number of frequencies."""
 
     @model_validator(mode="after")

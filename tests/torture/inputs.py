@@ -41,6 +41,7 @@ _NUMBERS = [
     0, 1, -1, 2, 3, 7, 1e308, -1e308, 5e-324, -0.0, 0.5, 1.5, 1e-3, 1e9, -7, 10**9, 10**18, 2**63, 10**400,
     float("nan"), float("inf"), -float("inf"),
 ]
+_EXTREMES = (1e308, -1e308, 5e-324, 1e-17, 1e17, 2**63)
 _TEXTS = [
     "", " ", "x", "$", "$x", "${x}", "{x}", "{", "}", "a.b", ".", "..", "../x", "/", "\\", "é", "名",
     "\u202e", "%s",
@@ -78,12 +79,16 @@ _NOT_YAML = re.compile(r"not valid|cannot be read|nested|more than|: file: |byte
 
 
 def torture(tally: Tally, rng: random.Random, count: int, *, timed: bool = True) -> None:
-    """Validate ``count`` mutations, one in a hundred of them afresh; run up to 3 % of the sound ones."""
+    """Validate ``count`` mutations, one in a hundred of them afresh; run up to 3 % of the sound ones.
+
+    Up to a quarter of ``count`` besides, each key's number at its extremes.
+    """
     with tempfile.TemporaryDirectory(prefix="t") as name:
         folder = Path(name)
         (folder / "experiments").symlink_to(ROOT / "experiments")
         sound: list[bytes] = []
         _validate_many(tally, rng, count, folder, timed, sound)
+        _validate_extremes(tally, rng, count, folder, timed)
         for path, content in bombs(folder):
             with tally.fault("bombs, by the program itself", path.name):
                 path.write_bytes(content)
@@ -112,6 +117,46 @@ def _validate_many(
                 sound.append(content)
 
 
+def _validate_extremes(tally: Tally, rng: random.Random, count: int, folder: Path, timed: bool) -> None:
+    """Each number of each kind of component, at the first place where the configurations have it."""
+    places: dict[tuple[Any, ...], tuple[Path, tuple[Any, ...]]] = {}
+    for config in CONFIGS:
+        data = _read(config)
+        for place in _numbers(data):
+            within = _at(data, place[:-1])
+            kind = within.get("kind") if isinstance(within, dict) else None
+            named = [key for key in place if isinstance(key, str)]
+            places.setdefault((named[0], kind, named[-1]), (config, place))
+    path = folder / "extreme.yaml"
+    base = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    tried = [(*where, number) for where in places.values() for number in _EXTREMES]
+    for config, place, number in rng.sample(tried, min(count // 4, len(tried))):
+        data = _read(config)
+        _at(data, place[:-1])[place[-1]] = number
+        content = _written(data)
+        path.write_bytes(content)
+        with (
+            tally.fault("extreme numbers, by its entry", f"{config.name}, {place}: {number}"),
+            _kept(content),
+        ):
+            _validate(path, timed, base)
+
+
+def _numbers(value: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Where numbers stand."""
+    if isinstance(value, dict | list):
+        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _numbers(inner, (*at, key))
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        yield at
+
+
+def _at(value: Any, place: tuple[Any, ...]) -> Any:
+    for key in place:
+        value = value[key]
+    return value
+
+
 @contextmanager
 def _kept(content: bytes) -> Iterator[None]:
     """Where an assertion fails, the input is kept and named."""
@@ -127,9 +172,17 @@ def _kept(content: bytes) -> Iterator[None]:
 
 
 def _mutated_data(config: Path, chance: random.Random) -> bytes:
-    data = Reader(config.name, numbered=True).read(config.read_text(encoding="utf-8"))
+    data = _read(config)
     for _ in range(chance.choice((1, 1, 1, 2, 4))):
         _mutate(data, chance)
+    return _written(data)
+
+
+def _read(config: Path) -> Any:
+    return Reader(config.name, numbered=True).read(config.read_text(encoding="utf-8"))
+
+
+def _written(data: Any) -> bytes:
     return yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=1000).encode()
 
 

@@ -1,6 +1,7 @@
 import copy
 import json
 from functools import partial
+from pathlib import Path
 
 import pytest
 import yaml
@@ -623,6 +624,19 @@ metrics:
         "a.yaml:15: metrics.p: the metric 'linear_percent_error' needs the continuous of the system, which "
         "'hammerstein' does not have (it has: linear, nonlinearity, response, "
     )
+
+
+def test_numbers_beyond_all_sense_say_nothing_on_their_way():
+    """Warnings are errors in the tests; what such numbers do, the trials say."""
+    load(Path(__file__).parents[2] / "configs/chen_example3.yaml", ["system.pk_1=1e17"])
+
+
+def test_numbers_that_no_memory_holds_are_refused():
+    with pytest.raises(ConfigError, match=r"band\.count: must be less than or equal to 10000"):
+        load(
+            Path(__file__).parents[2] / "configs/brouri_bode.yaml",
+            ["estimators.rational.band.count=1000000000000000000"],
+        )
 
 
 def _places(data, at=()):
