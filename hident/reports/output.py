@@ -16,6 +16,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, get_args
 
+import numpy as np
+
 import hident
 from hident import arithmetic
 from hident.config.load import Problem
@@ -88,6 +90,7 @@ class Outputs:
         """Whether the folder holds, unaltered, what a run of the plan writes."""
         return RunFolder(self.folder).state(self.key)
 
+    @np.errstate(all="ignore")
     def write(
         self, results: Results, run: Mapping[str, Any], seconds: Mapping[str, float] = MappingProxyType({})
     ) -> tuple[str, ...]:
@@ -237,6 +240,10 @@ def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str,
     parts += [table.markdown() for table in tables.values()]
     if not tables:
         parts.append(_plain_table(results).markdown())
+    if not any("failed" in note for table in tables.values() for note in table.notes) and (
+        lost := _failed(results)
+    ):
+        parts.append(lost)
     if hanging := hanging_means(results):
         parts.append(f"{hanging}.")
     if verdicts:
@@ -246,6 +253,19 @@ def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str,
         parts += _differences(verdicts)
         parts += _runs(verdicts, results)
     return "\n\n".join(parts) + "\n"
+
+
+def _failed(results: Results) -> str:
+    """What to say of trials without a number where no table says it; nothing if there are none."""
+    if not (found := [one for one in results.series if one.statistics["failed"]]):
+        return ""
+    worst = max(found, key=lambda one: one.statistics["failed"])
+    why = f", {worst.reasons[0][0]}" if worst.reasons else ""
+    return (
+        f"{len(found)} of {len(results.series)} values failed in some trials, which their statistics leave "
+        f"out (most often {worst.metric} of {worst.unit.described()}: in {worst.statistics['failed']:.0f} of "
+        f"{worst.statistics['trials']:.0f}{why}); table.csv counts them."
+    )
 
 
 def hanging_means(results: Results) -> str:

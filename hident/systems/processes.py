@@ -353,7 +353,8 @@ class VanDeVusse(_Process):
         # dC_B/dF = 0 at steady state reduces to k_2 (C_Af - C_A)^2 = (k_1 + k_3 C_Af) C_A^2.
         k_1, k_2, k_3, feed = self.k_1, self.k_2, self.k_3, self.feed_concentration
         c_a = feed / (1.0 + math.sqrt((k_1 + k_3 * feed) / k_2))
-        return self.volume * (k_1 + k_3 * c_a) * c_a / (feed - c_a)
+        with np.errstate(all="ignore"):
+            return float(np.divide(self.volume * (k_1 + k_3 * c_a) * c_a, feed - c_a))
 
     def linearised(self, flow: float) -> ContinuousTransferFunction:
         """The block that small deviations from the steady state at inlet flow ``flow`` obey.

@@ -30,6 +30,10 @@ class Agreement(SettingsSpec):
         import pandas as pd
 
         data = pd.DataFrame(self._judged(results))
+        if data.empty:
+            return Table(
+                self.title, ("estimator", "inside"), (), ("No trial gave a number.",), data, "median", 1
+            )
         axes = [a.name for a in results.plan.axes if a.name in data and data[a.name].nunique() > 1]
         # An axis that does not touch an estimator.
         data[axes] = data[axes].fillna("-")
