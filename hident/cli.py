@@ -791,6 +791,13 @@ def simulate(
     ] = None,
     dt: Dt = None,
     time: Time = None,
+    samples: Annotated[
+        str | None, typer.Option(metavar="FIRST..LAST", help="Of each experiment, counted from 1.")
+    ] = None,
+    detrend: Detrend = None,
+    resample: Resample = None,
+    decimate: Decimate = None,
+    gaps: Gaps = None,
     k_step: Annotated[
         int,
         typer.Option("--k-step", min=0, help="Predict so many samples ahead from --compare; 0 simulates."),
@@ -798,6 +805,14 @@ def simulate(
     n_init: Annotated[
         int, typer.Option("--n-init", min=0, help="First samples that the comparison leaves out.")
     ] = 0,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="settled|rest|estimated",
+            help="Before the first sample: its input for ever, nothing, or states that --compare tells; by "
+            "default as the model was fitted.",
+        ),
+    ] = None,
     any_dt: Annotated[
         bool, typer.Option("--any-dt", help="Take samples of another interval as if they were the model's.")
     ] = False,
@@ -817,13 +832,19 @@ def simulate(
         data,
         input_name=input_name,
         compare=compare,
-        dt=dt,
-        time=time,
         steps=k_step,
         n_init=n_init,
+        start=start,
         any_dt=any_dt,
         out=out,
         plot=plot,
+        dt=dt,
+        time=time,
+        estimation=samples,
+        detrend=detrend,
+        resample=resample,
+        decimate=decimate,
+        gaps=gaps,
     )
 
 

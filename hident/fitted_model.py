@@ -71,6 +71,10 @@ class FittedModel:
     fit, and ``about`` what a reader of the model should know: the record, its hash, units, the method (see
     :mod:`hident.models.model_file`).
 
+    Where means or an operating point were taken off the record before the fit, they are the model's
+    ``offsets``: inputs and outputs are as they were measured, and what is done about it is the model's
+    matter. Of a record that has ``offsets`` itself the output is less those.
+
     Examples
     --------
     >>> import numpy as np
@@ -90,6 +94,43 @@ class FittedModel:
     begun: tuple[Begun, ...] = ()
 
     @property
+    def offsets(self) -> tuple[float, float]:
+        """What is taken off the input before the chain, and added to its output: 0 where nothing is known."""
+        known = self.about.get("offsets", {})
+        return float(known.get("input", 0.0)), float(known.get("output", 0.0))
+
+    @property
+    def is_detrended(self) -> bool:
+        """Whether it was fitted to signals less their straight lines, and knows of no others.
+
+        What a straight line is to be taken off must have lost it before.
+        """
+        return self.about.get("detrend") == "linear"
+
+    def level(self, record: Record) -> Record:
+        """A record as the chain knows it: less the model's offsets.
+
+        Examples
+        --------
+        >>> import hident as hi
+        >>> model = FittedModel(BlockChain(()), about={"offsets": {"input": 20.0, "output": 5.0}})
+        >>> model.level(hi.Record([21.0, 22.0], [5.0, 7.0])).u
+        array([1., 2.])
+        """
+        u, y = self._shifts(record)
+        if not (u or y):
+            return record
+        offsets = dict(zip(("input", "output"), self.offsets, strict=True))
+        return replace(record, u=record.u - u, y=record.y - y, offsets=offsets)
+
+    def _shifts(self, record: Record) -> tuple[float, float]:
+        """What is left to take off a record's input, and to add to the chain's output for its own."""
+        if self.is_detrended:
+            return 0.0, 0.0
+        u, y = self.offsets
+        return u - record.offsets.get("input", 0.0), y - record.offsets.get("output", 0.0)
+
+    @property
     def past(self) -> Start:
         """What was before an input of which no output is known."""
         return "rest" if self.start == "rest" else "settled"
@@ -98,16 +139,15 @@ class FittedModel:
         """The noise-free output (N,) to a record's input, or to an input (N,).
 
         Each of the experiments of a record begins anew.
+
+        Raises
+        ------
+        ValueError
+            If an input is not of shape (N,).
         """
-        if not isinstance(record, Record):
-            return self.chain.response(record, self.past)
-        chain = self._for(record)
-        return in_each(
-            record.experiments,
-            lambda u, y: chain.response(u, self.past, self.states(u, y, chain)),
-            record.u,
-            record.y,
-        )
+        made = self.signals(record)[-1]
+        add = self._shifts(record)[1] if isinstance(record, Record) else self.offsets[1]
+        return made + add if add else made
 
     def _for(self, record: Record) -> BlockChain:
         """The chain for a record's samples: continuous blocks have some at any interval."""
@@ -129,20 +169,27 @@ class FittedModel:
         return replace(self, chain=self.chain.every(dt), noise=NoiseModel(), begun=())
 
     def signals(self, record: Record | Array) -> tuple[Array, ...]:
-        """The input (N,) and what stands behind each block; see :meth:`simulate`."""
+        """The input of the chain (N,) and what stands behind each block, without the model's offsets.
+
+        See :meth:`simulate`.
+        """
         if not isinstance(record, Record):
-            return self.chain.signals(record, self.past)
-        chain = self._for(record)
+            u = np.asarray(record, dtype=float)
+            if u.ndim != 1:
+                raise ValueError(f"an input must be of shape (N,), not {u.shape}")
+            return self.chain.signals(u - self.offsets[0] if self.offsets[0] else u, self.past)
+        chain, record = self._for(record), self.level(record)
         pieces = [
             chain.signals(u, self.past, self.states(u, y, chain))
             for u, y in ((record.u[part], record.y[part]) for part in record.experiments)
         ]
-        return tuple(np.concatenate(one) for one in zip(*pieces, strict=True))
+        return tuple(np.concatenate(one) for one in zip(*pieces, strict=True)) if pieces[1:] else pieces[0]
 
     def states(self, u: Array, y: Array, chain: BlockChain | None = None) -> tuple[Array, ...] | None:
         """The states in which an experiment begins, beyond what :attr:`past` says; None if there are none.
 
-        ``chain`` are the blocks for its samples: by default those of the fit.
+        Its samples are those of :meth:`level`; ``chain`` are the blocks for them: by default those of the
+        fit.
         """
         if self.start != "estimated":
             return None
@@ -151,7 +198,7 @@ class FittedModel:
         return initial_states(chain or self.chain, u, y)
 
     def known(self, u: Array, y: Array) -> Begun | None:
-        """The experiment of the fit that has these samples (N,); None if there is none."""
+        """The experiment of the fit that has these samples (N,) of :meth:`level`; None if there is none."""
         if not self.begun:
             return None
         sha256 = digest(u, y)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,12 @@ _OPTIONS = {"estimation": "estimate", "validation": "validate"}
 """The options that are not named as the fields of a record are."""
 
 
-def record_of(files: Sequence[Path], **options: Any) -> MeasuredRecord:
+def record_of(
+    files: Sequence[Path], called: Mapping[str, str] | None = None, **options: Any
+) -> MeasuredRecord:
     """The record of some files; options that are None are left to their defaults.
+
+    ``called`` says by which options the verb names fields otherwise.
 
     Raises
     ------
@@ -26,28 +30,29 @@ def record_of(files: Sequence[Path], **options: Any) -> MeasuredRecord:
             raise ConfigError(
                 f"--{name} is required: the column of the {name}, by its name or its number from 1"
             )
+    names = _OPTIONS | {**(called or {})}
     given = {name: value for name, value in options.items() if value is not None}
     columns = {name: _listed(given[name]) for name in ("input", "output")}
     try:
         return MeasuredRecord(file=[str(file) for file in files], **(given | columns))
     except ConfigError as error:
-        raise ConfigError("\n".join(map(_by_option, str(error).splitlines()))) from None
+        raise ConfigError("\n".join(_by_option(line, names) for line in str(error).splitlines())) from None
 
 
 def _listed(columns: str) -> list[str]:
     return [name.strip() for name in columns.split(",")]
 
 
-def _by_option(message: str) -> str:
+def _by_option(message: str, names: Mapping[str, str]) -> str:
     """The message about a field as one about its option."""
     name, colon, rest = message.removeprefix(f"{MeasuredRecord.__name__}: ").partition(":")
     field = name.partition(".")[0].partition("[")[0]
     if field not in MeasuredRecord.model_fields:
         return message
     for other in ("dt", "time", "estimation", "detrend"):
-        rest = rest.replace(f"'{other}'", _option(other))
-    return f"{_option(field)}{colon}{rest}"
+        rest = rest.replace(f"'{other}'", _option(other, names))
+    return f"{_option(field, names)}{colon}{rest}"
 
 
-def _option(field: str) -> str:
-    return f"--{_OPTIONS.get(field, field)}"
+def _option(field: str, names: Mapping[str, str]) -> str:
+    return f"--{names.get(field, field)}"

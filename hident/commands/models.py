@@ -4,26 +4,30 @@ from __future__ import annotations
 
 import csv
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
 from hident.arrays import Array
-from hident.block_chain import BlockChain
+from hident.block_chain import BlockChain, settled_state
 from hident.commands.measured import record_of
+from hident.config.suggest import did_you_mean, one_of
 from hident.errors import ConfigError, EstimationError
 from hident.fitted_model import FittedModel
 from hident.initial_states import showing
+from hident.linear_blocks import TransferFunction
 from hident.models.convert import target
 from hident.models.formulas import formulas, time_unit
 from hident.models.model_file import load_model
+from hident.models.source_text import level
 from hident.new_files import made_folder, replacing
 from hident.records import Record
 from hident.static_functions import StaticFunction
 
+_Start = Literal["settled", "rest", "estimated"]
 # Times written with a few digits give an interval that is off by their rounding.
 _SAME_INTERVAL = 1e-3
 # A signal computed again is off by rounding, which is not beyond a range.
@@ -34,8 +38,6 @@ def print_model(file: Path, out: Path | None) -> None:
     """Print the formulas of a model, and write its figures to a folder if one is given."""
     model = load_model(file)
     print(formulas(model))
-    if said := _level(model):
-        print(f"\n{said}")
     if out is not None:
         names = draw_model(model, out)
         print(f"\n{out}: {', '.join(names)}")
@@ -70,8 +72,8 @@ def convert_model(file: Path, to: str, out: Path | None) -> None:
     """Print the source that a model is converted to, or write it to a file."""
     wanted = target(to)
     model = load_model(file)
-    if said := _level(model):
-        print(f"note: {said}: the source does neither", file=sys.stderr)
+    if model.is_detrended:
+        print(f"note: {level(model)}; so it is for the source", file=sys.stderr)
     if out is None:
         print(wanted.source(model, "response"), end="")
         return
@@ -83,49 +85,50 @@ def convert_model(file: Path, to: str, out: Path | None) -> None:
     print(f"{out}: {wanted.meaning}")
 
 
-def _offsets(model: FittedModel) -> tuple[float, float]:
-    """What was taken off the input and the output before the fit."""
-    found = model.about.get("offsets", {})
-    return float(found.get("input", 0.0)), float(found.get("output", 0.0))
-
-
-def _level(model: FittedModel) -> str:
-    """What must be done to the samples of a model that was fitted to others, in words."""
-    if model.about.get("detrend") == "linear":
-        return "straight lines were taken off the input and the output before the fit, and go on nowhere else"
-    u, y = _offsets(model)
-    return f"{u:.6g} is taken off the input, and {y:.6g} added to the output" if u or y else ""
-
-
 def simulate_model(
     file: Path,
     files: Sequence[Path],
     *,
     input_name: str | None,
     compare: str | None,
-    dt: str | None,
-    time: str | None,
     steps: int,
     n_init: int,
+    start: str | None,
     any_dt: bool,
     out: Path | None,
     plot: Path | None,
+    **options: Any,
 ) -> None:
-    """Print what a model makes of a record's input, and write it to files if they are given."""
+    """Print what a model makes of a record's input, and write it to files if they are given.
+
+    The options are those of the record: see :class:`MeasuredRecord`.
+    """
     for path, suffix in ((out, ".csv"), (plot, ".png")):
         if path is not None and path.suffix != suffix:
             raise ConfigError(f"{path}: the name must end in {suffix}")
     if steps and compare is None:
         raise ConfigError("--k-step predicts from measured outputs: name their column by --compare")
+    if start is not None and start not in (known := get_args(_Start)):
+        raise ConfigError(f"--start: must be {one_of(known)}, not '{start}'{did_you_mean(start, known)}")
+    if start == "estimated" and compare is None:
+        raise ConfigError(
+            "--start estimated takes the states from measured outputs: name their column by --compare"
+        )
     model = load_model(file)
     column = input_name or model.about.get("input")
     if not column:
         raise ConfigError(f"{file} does not say which column its input is: name it by --input")
-    record = _record(files, column, compare, dt, time)
     data = ", ".join(map(str, files))
+    if refused := _wrong_trend(model, options.get("detrend"), compare):
+        raise ConfigError(f"{data}: {file} {refused}")
+    record = _record(files, column, compare, options)
+    if start is not None:
+        model = replace(model, start=cast(_Start, start))
     if not any_dt:
         model = _at_interval(record, model, data, steps)
-    run = _Run(model, record, column, compare, steps, n_init)
+    if start in ("settled", "estimated"):
+        _settling(model, start)
+    run = _Run(model, record, column, compare, steps, n_init, any_dt, options.get("detrend"))
     run.check(data)
     for line in run.warnings():
         print(f"warning: {line}", file=sys.stderr)
@@ -139,12 +142,40 @@ def simulate_model(
         print(f"written: {path}")
 
 
-def _record(
-    files: Sequence[Path], column: str, compare: str | None, dt: str | None, time: str | None
-) -> Record:
+def _settling(model: FittedModel, start: str) -> None:
+    """ConfigError if a block settles nowhere."""
+    for name, block in zip(model.chain.names, model.chain.blocks, strict=True):
+        if isinstance(block, TransferFunction):
+            try:
+                settled_state(np.asarray(block.b), block.denominator)
+            except ValueError as error:
+                raise ConfigError(f"--start {start}: {name}: {error}") from None
+
+
+def _wrong_trend(model: FittedModel, detrend: str | None, compare: str | None) -> str:
+    """Why the model does not suit signals of which this was taken off; empty if it does."""
+    if not model.is_detrended:
+        return (
+            "was fitted to signals of which no straight lines were taken off: leave out --detrend linear"
+            if detrend == "linear"
+            else ""
+        )
+    if detrend != "linear" and compare is not None:
+        return (
+            "was fitted to signals less their straight lines, and there is nothing to compare in others: "
+            "take those of this record off by --detrend linear"
+        )
+    return ""
+
+
+def _record(files: Sequence[Path], column: str, compare: str | None, options: Mapping[str, Any]) -> Record:
     """The record of some files; without a column to compare with, its output means nothing."""
-    spec = record_of(files, input=column, output=compare or column, dt=dt, time=time)
-    return spec.read_input(Path()) if compare is None else spec.read(Path())
+    called = {"estimation": "samples", "output": "compare"}
+    spec = record_of(files, called, input=column, output=column if compare is None else compare, **options)
+    if compare is not None:
+        return spec.read(Path())
+    record = spec.read_input(Path())
+    return replace(record, offsets={name: by for name, by in record.offsets.items() if name == "input"})
 
 
 def _at_interval(record: Record, model: FittedModel, data: str, steps: int) -> FittedModel:
@@ -169,22 +200,28 @@ class _Run:
     """A record and what the model makes of it."""
 
     def __init__(
-        self, model: FittedModel, record: Record, column: str, compare: str | None, steps: int, n_init: int
+        self,
+        model: FittedModel,
+        record: Record,
+        column: str,
+        compare: str | None,
+        steps: int,
+        n_init: int,
+        any_dt: bool,
+        detrend: str | None,
     ) -> None:
         self.model, self.record, self.column, self.compare = model, record, column, compare
-        self.steps, self.n_init = steps, n_init
-        u, y = _offsets(model)
-        self.level = replace(record, u=record.u - u, y=record.y - y) if u or y else record
-        """The record as the model knows it."""
+        self.steps, self.n_init, self.detrend = steps, n_init, detrend
+        self.level = model.level(record)
+        """The record as the blocks know it."""
+        # Without a column to compare with, the output of the record means nothing.
+        known = model if compare is not None else replace(model, start=model.past)
+        if any_dt:
+            record = replace(record, dt=None)
         with np.errstate(all="ignore"):
-            # Without a column to compare with, the output of the record means nothing.
-            self.signals = model.signals(self.level) if compare is not None else self._of_inputs()
-            self.made = y + (model.predict(self.level, steps) if steps else self.signals[-1])
+            self.signals = known.signals(record)
+            self.made = known.predict(record, steps) if steps else known.simulate(record)
         self.how = f"{steps}-step prediction" if steps else "simulation"
-
-    def _of_inputs(self) -> tuple[Array, ...]:
-        pieces = [self.model.signals(self.level.u[part]) for part in self.record.experiments]
-        return tuple(np.concatenate(one) for one in zip(*pieces, strict=True))
 
     def _begun(self) -> str:
         """How a model whose start is found begins each experiment."""
@@ -198,6 +235,13 @@ class _Run:
             else:
                 found.append(f"with which the first {showing(self.model.chain, len(u))} samples are met best")
         return f"begun with the states {' and '.join(dict.fromkeys(found))}"
+
+    def _taken_off(self) -> str:
+        """What was taken off the record before, and is missing in the numbers."""
+        lines = self.detrend == "linear"
+        if self.compare is None:
+            return f"'{self.column}' is less its {'straight line' if lines else 'mean'} in this record"
+        return f"all numbers are less the {'straight lines' if lines else 'means'} of this record"
 
     def check(self, data: str) -> None:
         """ConfigError if the output is not finite, or too few samples are left to compare."""
@@ -217,15 +261,22 @@ class _Run:
         return counted
 
     def warnings(self) -> list[str]:
-        """Where the input of a static block leaves the range on which it was fitted, in words."""
+        """Where the record is not like that of the fit, in words: its trend, the ranges of static blocks."""
         found = []
+        if self.model.is_detrended and self.detrend != "linear":
+            found.append(f"{level(self.model)}; '{self.column}' is taken as it stands")
         for i, (name, block) in enumerate(zip(self.model.chain.names, self.model.chain.blocks, strict=True)):
             fitted = self.model.range_of(i)
             if not isinstance(block, StaticFunction) or fitted is None:
                 continue
-            x, slack = self.signals[i], _ROUNDING * max(map(abs, fitted))
+            slack = _ROUNDING * max(map(abs, fitted))
+            x = self.signals[i]
             beyond = int(np.sum((x < fitted[0] - slack) | (x > fitted[1] + slack)))
             if beyond:
+                if i == 0:
+                    # In the units of the record, less no offset.
+                    fitted = tuple(end + self.record.u[0] - x[0] for end in fitted)
+                    x = self.record.u
                 found.append(
                     f"{beyond} of {len(x)} samples ({_percent(beyond / len(x))}) of the input of {name} lie "
                     f"beyond {fitted[0]:.4g} to {fitted[1]:.4g}, where it was fitted (here {x.min():.4g} to "
@@ -239,7 +290,8 @@ class _Run:
         lines = [
             f"{data}: {len(made)} samples of '{self.column}', {self.how} by {chain.structure}",
             *([self._begun()] if self.model.start == "estimated" else []),
-            *([said] if (said := _level(self.model)) else []),
+            *([level(self.model)] if any(self.model.offsets) else []),
+            *([self._taken_off()] if self.detrend else []),
             f"output from {made.min():.5g} to {made.max():.5g}{unit}, mean {made.mean():.5g}",
         ]
         if self.compare is not None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -72,8 +74,9 @@ def to_control(model: FittedModel) -> Any:
     """The model as a system of python-control, in discrete time.
 
     A chain of linear blocks is a :class:`control.TransferFunction`, any other a
-    :class:`control.NonlinearIOSystem` whose subsystems are the blocks, by their names. How the model starts
-    is no part of a system: ``X0=initial_state(model, u[0])`` tells ``control.input_output_response``.
+    :class:`control.NonlinearIOSystem` whose subsystems are the blocks, by their names. So is a linear one
+    whose model has offsets, which are subsystems of their own (``before`` and ``after``). How the model
+    starts is no part of a system: ``X0=initial_state(model, u[0])`` tells ``control.input_output_response``.
 
     Raises
     ------
@@ -90,11 +93,16 @@ def to_control(model: FittedModel) -> Any:
     """
     control, chain = python_control(), model.chain
     dt: Any = True if chain.dt is None else chain.dt
-    if not chain.static:
+    if _is_linear(model):
         system = control.TransferFunction([1.0], [1.0], dt)
         for block in chain.linear:
             system = system * block.to_control(dt)
         return system
+    stages: dict[str, TransferFunction | Callable[[Array], Array]] = {
+        **{name: partial(np.add, by) for name, by in _before(model).items()},
+        **dict(zip(chain.names, chain.blocks, strict=True)),
+        **{name: partial(np.add, by) for name, by in _after(model).items()},
+    }
     blocks = [
         _state_space(as_filter(block, settled=False), dt, name)
         if isinstance(block, TransferFunction)
@@ -106,18 +114,32 @@ def to_control(model: FittedModel) -> Any:
             dt=dt,
             name=name,
         )
-        for name, block in zip(chain.names, chain.blocks, strict=True)
+        for name, block in stages.items()
     ]
     if len(blocks) == 1:
         return blocks[0]
+    names = list(stages)
     return control.interconnect(
         blocks,
-        [[f"{after}.u", f"{before}.y"] for before, after in pairwise(chain.names)],
-        inplist=[f"{chain.names[0]}.u"],
-        outlist=[f"{chain.names[-1]}.y"],
+        [[f"{after}.u", f"{before}.y"] for before, after in pairwise(names)],
+        inplist=[f"{names[0]}.u"],
+        outlist=[f"{names[-1]}.y"],
         inputs=["u"],
         outputs=["y"],
     )
+
+
+def _is_linear(model: FittedModel) -> bool:
+    return not (model.chain.static or any(model.offsets))
+
+
+def _before(model: FittedModel) -> dict[str, float]:
+    """What is added before the blocks, by the name of its subsystem; nothing without an offset."""
+    return {"before": -model.offsets[0]} if model.offsets[0] else {}
+
+
+def _after(model: FittedModel) -> dict[str, float]:
+    return {"after": model.offsets[1]} if model.offsets[1] else {}
 
 
 def initial_state(model: FittedModel, first: float) -> Array:
@@ -131,7 +153,7 @@ def initial_state(model: FittedModel, first: float) -> Array:
     array([3.])
     """
     states, x = [np.zeros(0)], np.array([float(first)])
-    for before, block in zip(model.chain.signals(x, model.past)[:-1], model.chain.blocks, strict=True):
+    for before, block in zip(model.signals(x)[:-1], model.chain.blocks, strict=True):
         if isinstance(block, TransferFunction):
             states.append(np.multiply(as_filter(block, settled=model.past == "settled").state, before[0]))
     return np.concatenate(states)
@@ -141,7 +163,7 @@ def control_source(model: FittedModel) -> str:
     """Source of a module with a function ``system()`` that builds the system of :func:`to_control`."""
     blocks, chain = plain_blocks(model), model.chain
     interval = f"DT = {True if chain.dt is None else float(chain.dt)!r}\n"
-    if not chain.static:
+    if _is_linear(model):
         rows = [as_rows(block) for block in chain.linear]
         factors = [call("control.TransferFunction", (*row, "DT"), {}, " " * 8) for row in rows]
         product = "\n        * ".join(factors)
@@ -150,8 +172,14 @@ def control_source(model: FittedModel) -> str:
             _PRODUCT % product,
         )
     made = "".join(
-        f'    # {kind_of(block)}\n    "{name}": {_entry(plain)},\n'
-        for name, block, plain in zip(chain.names, chain.blocks, blocks, strict=True)
+        [
+            *(f'    "{name}": lambda x: x + {by!r},\n' for name, by in _before(model).items()),
+            *(
+                f'    # {kind_of(block)}\n    "{name}": {_entry(plain)},\n'
+                for name, block, plain in zip(chain.names, chain.blocks, blocks, strict=True)
+            ),
+            *(f'    "{name}": lambda x: x + {by!r},\n' for name, by in _after(model).items()),
+        ]
     )
     return joined(
         f"{head(model, [_SYSTEM, _START])}import control\nimport numpy as np\n\n{interval}",

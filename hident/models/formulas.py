@@ -12,7 +12,7 @@ import numpy as np
 from hident.fitted_model import FittedModel
 from hident.linear_blocks import MOST_POLES, TransferFunction
 from hident.models.plain_blocks import CubicPieces, as_curve
-from hident.models.source_text import kind_of, wrapped
+from hident.models.source_text import kind_of, level, wrapped
 from hident.sampled_blocks import SampledTransferFunction
 from hident.static_functions import Chebyshev, DeadZone, PiecewiseLinear, Saturation, StaticFunction
 from hident.systems.base import NonlinearitySpec
@@ -101,6 +101,8 @@ def _head(model: FittedModel) -> str:
         lines.append(f"made {', '.join(made)}")
     if about.get("command"):
         lines.append(f"command: {about['command']}")
+    if said := level(model):
+        lines.append(said)
     return "\n".join(lines)
 
 

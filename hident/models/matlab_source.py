@@ -121,7 +121,10 @@ def matlab_source(model: FittedModel, name: str = "response") -> str:
         f"  % {one_line(title(model))}",
         f"  % y = {name}(u) is the output to an input, of its shape.",
         *(f"  % {one_line(fact)}" for fact in facts(model)),
-        "  x = double(u(:));",
+        "  if ~(isvector(u) || isempty(u))",
+        f"    error('{name}: the input must be a vector');",
+        "  end",
+        f"  x = double(u(:)){_added(-model.offsets[0])};",
     ]
     for label, block, plain in zip(model.chain.names, model.chain.blocks, blocks, strict=True):
         arguments = [_written(value) for value in numbers(plain, MATLAB).values()]
@@ -129,12 +132,17 @@ def matlab_source(model: FittedModel, name: str = "response") -> str:
         lines.append(
             f"  x = {_FUNCTIONS[type(plain)][0]}(x, ...\n    " + ", ...\n    ".join(arguments) + ");"
         )
-    lines += ["  y = reshape(x, size(u));", "end", ""]
+    lines += [f"  y = reshape(x{_added(model.offsets[1])}, size(u));", "end", ""]
     used = {type(plain) for plain in blocks}
     functions = [source for kind, (_, source) in _FUNCTIONS.items() if kind in used]
     beyond = [_BEYOND] if used - {Filter, FormulaSum} else []
     choose = [_CHOOSE] if any("choose(" in line for line in lines) else []
     return "\n".join(["\n".join(lines), *functions, *beyond, *choose])
+
+
+def _added(value: float) -> str:
+    """What adds a number that is not zero."""
+    return f" {'-' if value < 0.0 else '+'} {abs(value)!r}" if value else ""
 
 
 def _written(value: Any) -> str:

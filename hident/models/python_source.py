@@ -150,11 +150,15 @@ def curves(blocks: Iterable[PlainBlock]) -> list[str]:
 def _response(model: FittedModel, blocks: Sequence[PlainBlock]) -> str:
     lines = ["def response(u):", '    """The output (N,) to an input (N,)."""']
     lines.append("    x = np.asarray(u, dtype=float)")
+    lines.append("    if x.ndim != 1:")
+    lines.append('        raise ValueError(f"the input must be of shape (N,), not {x.shape}")')
+    before, after = model.offsets
+    lines += [f"    x = x - {before!r}"] if before else []
     for name, block, plain in zip(model.chain.names, model.chain.blocks, blocks, strict=True):
         function = "linear" if isinstance(plain, Filter) else CURVES[type(plain)][0]
         lines.append(f"    # {name}: {kind_of(block)}")
         lines.append(f"    x = {call(function, ['x'], numbers(plain), '    ')}")
-    return "\n".join([*lines, "    return x", ""])
+    return "\n".join([*lines, f"    return x + {after!r}" if after else "    return x", ""])
 
 
 def numbers(block: PlainBlock, language: Language = NUMPY) -> dict[str, Any]:

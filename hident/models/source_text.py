@@ -21,6 +21,17 @@ def title(model: FittedModel) -> str:
     return f"A block-oriented model{signals}: {model.chain.structure}."
 
 
+def level(model: FittedModel) -> str:
+    """What was done to the samples before the fit and is done with others, in words; empty if nothing was."""
+    if model.is_detrended:
+        return (
+            "straight lines were taken off the input and the output before the fit: both are what is left of "
+            "them"
+        )
+    u, y = model.offsets
+    return f"{u:.6g} is taken off the input, and {y:.6g} added to the output" if u or y else ""
+
+
 def facts(model: FittedModel) -> list[str]:
     """Sentences on how the model is to be used, and where it comes from."""
     about, chain = model.about, model.chain
@@ -30,8 +41,11 @@ def facts(model: FittedModel) -> list[str]:
         unit = units.get("time", "")
         said.append(f"The sampling interval is {float(chain.dt)!r}{unit and f' {unit}'}.")
     said += [f"The {name} is in {units[name]}." for name in ("input", "output") if units.get(name)]
+    said += textwrap.wrap(f"{text[0].upper()}{text[1:]}.", WIDTH) if (text := level(model)) else []
     said.append(
-        "Before the first sample the input was zero, and so were all states."
+        f"Before the first sample the input was {model.offsets[0]!r}, and all states were zero."
+        if model.past == "rest" and model.offsets[0]
+        else "Before the first sample the input was zero, and so were all states."
         if model.past == "rest"
         else "Before the first sample the input was its first value, and all blocks had settled to it."
     )

@@ -65,10 +65,12 @@ def _named(model: FittedModel, kind: type[TransferFunction | StaticFunction]) ->
 
 
 def _signal_label(model: FittedModel, side: str, place: int, name: str) -> str:
-    """The input or output of a block, with its unit where it is the model's own."""
+    """The input or output of a block, with its unit and offset where it is the model's own."""
     outer = place == (0 if side == "input" else len(model.chain.blocks) - 1)
     unit = model.about.get("units", {}).get(side, "")
-    return f"{side} of {name}" + (f" ({unit})" if outer and unit else "")
+    less = dict(zip(("input", "output"), model.offsets, strict=True))[side]
+    said = f" less {less:.4g}" if outer and less else ""
+    return f"{side} of {name}{said}" + (f" ({unit})" if outer and unit else "")
 
 
 def _static_functions(model: FittedModel, others: Sequence[BlockChain]) -> Figure:

@@ -74,6 +74,15 @@ def test_a_python_function_has_the_same_response(to, model, u):
         assert_same(response(u[:samples]), model, u[:samples])
 
 
+@pytest.mark.parametrize("to", ["python", "scipy"])
+@pytest.mark.parametrize("shape", [(5, 1), (1, 5), (5, 2), (1, 1), ()])
+def test_an_input_of_another_shape_is_refused(to, shape):
+    model = next(examples())
+    for simulate in (module(model, to)["response"], model.simulate):
+        with pytest.raises(ValueError, match=re.escape(f"input must be of shape (N,), not {shape}")):
+            simulate(np.ones(shape))
+
+
 @given(model=models(), u=INPUTS)
 @settings(deadline=None, max_examples=30)
 def test_a_system_of_control_has_the_same_response(model, u):
@@ -200,7 +209,7 @@ def test_no_text_of_a_model_ends_a_comment():
     model = FittedModel(
         BlockChain((LINEAR["gain"],)), about={"input": "u\nsystem('ls')", "output": "y\rx", "method": "m"}
     )
-    head = hi.convert(model, "matlab").partition("  x = double")[0]
+    head = hi.convert(model, "matlab").partition("  if ~(isvector")[0]
     assert all(line.startswith("  %") for line in head.splitlines()[1:])
 
 

@@ -273,7 +273,7 @@ class PredictionError(AtOneInterval):
             start=self.start,
             noise=NoiseModel(point.noise.ar, point.noise.ma, mse),
             errors=errors,
-            about=_about(fit),
+            about=_about(fit, record),
             begun=_begun(form, record),
         )
         chain = model.chain
@@ -320,8 +320,9 @@ def _begun(form: Parameters, record: Record) -> tuple[Begun, ...]:
     )
 
 
-def _about(fit: ChainFit) -> Mapping[str, Any]:
+def _about(fit: ChainFit, record: Record) -> Mapping[str, Any]:
     return {
+        **({"offsets": dict(record.offsets)} if record.offsets else {}),
         "method": "prediction_error",
         "status": fit.status,
         "iterations": fit.iterations,
