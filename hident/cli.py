@@ -851,7 +851,7 @@ def simulate(
 @app.command()
 def convert(
     model: ModelFile,
-    to: Annotated[str, typer.Option(metavar="NAME", help="python, scipy, control or matlab.")],
+    to: Annotated[str, typer.Option(metavar="NAME", help="python, scipy, control, matlab or simulink.")],
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Where to; printed by default.")] = None,
 ) -> None:
     """Write a fitted model as source code.

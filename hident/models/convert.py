@@ -11,6 +11,7 @@ from hident.fitted_model import FittedModel
 from hident.models.control_export import control_source
 from hident.models.matlab_source import matlab_source
 from hident.models.python_source import python_source, scipy_source
+from hident.models.simulink_source import simulink_source
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ TARGETS: Mapping[str, Target] = {
     "scipy": Target("systems and filters of scipy.signal", ".py", lambda m, name: scipy_source(m)),
     "control": Target("a system of python-control", ".py", lambda m, name: control_source(m)),
     "matlab": Target("a MATLAB function, which Octave runs too", ".m", matlab_source),
+    "simulink": Target("a MATLAB function that builds a Simulink model", ".m", simulink_source),
 }
 
 
@@ -44,7 +46,7 @@ def convert(model: FittedModel, to: str, name: str = "response") -> str:
     ----------
     model : FittedModel
         A model of :func:`load_model` or a fit.
-    to : {"python", "scipy", "control", "matlab"}
+    to : {"python", "scipy", "control", "matlab", "simulink"}
         What the source is for.
     name : str
         The name of the MATLAB function, which is that of its file.

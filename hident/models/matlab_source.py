@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from typing import Any
 
 from hident.errors import ConfigError
@@ -67,7 +68,9 @@ function y = chebyshev_sum(x, left, right, low, high, coefficients)
   next = zeros(size(x));
   second = next;
   for k = numel(coefficients):-1:2
-    [next, second] = deal(coefficients(k) + 2 * t .* next - second, next);
+    third = second;
+    second = next;
+    next = coefficients(k) + 2 * t .* second - third;
   end
   y = coefficients(1) + t .* next - second + beyond(x, low, high, left, right);
 end
@@ -89,9 +92,11 @@ end
 _CHOOSE = """\
 function y = choose(condition, first, second)
   % the first where the condition is not zero, else the second
-  y = zeros(size(condition)) + second;
-  first = zeros(size(condition)) + first;
-  y(condition ~= 0) = first(condition ~= 0);
+  none = zeros(size(condition)) + zeros(size(first)) + zeros(size(second));
+  y = none + second;
+  first = none + first;
+  chosen = none + (condition ~= 0) == 1;
+  y(chosen) = first(chosen);
 end
 """
 _BEYOND = """\
@@ -110,11 +115,7 @@ def matlab_source(model: FittedModel, name: str = "response") -> str:
     ConfigError
         If MATLAB allows no function of that name.
     """
-    if not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII) or _KEYWORD.fullmatch(name) or len(name) > _LONGEST:
-        raise ConfigError(
-            f"'{name}' cannot be the name of a MATLAB function: it must be letters, digits and underscores, "
-            f"begin with a letter, and have at most {_LONGEST} of them"
-        )
+    require_name(name)
     blocks = plain_blocks(model)
     lines = [
         f"function y = {name}(u)",
@@ -124,28 +125,46 @@ def matlab_source(model: FittedModel, name: str = "response") -> str:
         "  if ~(isvector(u) || isempty(u))",
         f"    error('{name}: the input must be a vector');",
         "  end",
-        f"  x = double(u(:)){_added(-model.offsets[0])};",
+        f"  x = double(u(:)){added(-model.offsets[0])};",
     ]
     for label, block, plain in zip(model.chain.names, model.chain.blocks, blocks, strict=True):
-        arguments = [_written(value) for value in numbers(plain, MATLAB).values()]
         lines.append(f"  % {label}: {kind_of(block)}")
-        lines.append(
-            f"  x = {_FUNCTIONS[type(plain)][0]}(x, ...\n    " + ", ...\n    ".join(arguments) + ");"
+        lines.append(f"  x = {called(plain, 'x')};")
+    lines += [f"  y = reshape(x{added(model.offsets[1])}, size(u));", "end", ""]
+    return "\n".join(["\n".join(lines), *functions(blocks, lines)])
+
+
+def require_name(name: str, reserved: int = 0) -> None:
+    """ConfigError if MATLAB allows no function of this name, with so many letters behind it."""
+    longest = _LONGEST - reserved
+    if not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII) or _KEYWORD.fullmatch(name) or len(name) > longest:
+        raise ConfigError(
+            f"'{name}' cannot be the name of a MATLAB function: it must be letters, digits and underscores, "
+            f"begin with a letter, and have at most {longest} of them"
         )
-    lines += [f"  y = reshape(x{_added(model.offsets[1])}, size(u));", "end", ""]
+
+
+def functions(blocks: Iterable[PlainBlock], lines: Iterable[str]) -> list[str]:
+    """The functions that compute blocks, and those that formulas in some lines use."""
     used = {type(plain) for plain in blocks}
-    functions = [source for kind, (_, source) in _FUNCTIONS.items() if kind in used]
+    known = [source for kind, (_, source) in _FUNCTIONS.items() if kind in used]
     beyond = [_BEYOND] if used - {Filter, FormulaSum} else []
     choose = [_CHOOSE] if any("choose(" in line for line in lines) else []
-    return "\n".join(["\n".join(lines), *functions, *beyond, *choose])
+    return [*known, *beyond, *choose]
 
 
-def _added(value: float) -> str:
+def called(plain: PlainBlock, signal: str) -> str:
+    """The call of a block's function with a signal."""
+    arguments = [signal, *(written(value) for value in numbers(plain, MATLAB).values())]
+    return f"{_FUNCTIONS[type(plain)][0]}(" + ", ...\n    ".join(arguments) + ")"
+
+
+def added(value: float) -> str:
     """What adds a number that is not zero."""
     return f" {'-' if value < 0.0 else '+'} {abs(value)!r}" if value else ""
 
 
-def _written(value: Any) -> str:
+def written(value: Any) -> str:
     """A number, a row, a matrix, or a cell array of functions."""
     if not isinstance(value, tuple):
         return repr(value)

@@ -12,6 +12,7 @@ from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
 from hident.sampled_blocks import SampledTransferFunction
 
 WIDTH = 100
+_SETTLED = "Before the first sample the input was its first value, and all blocks had settled to it."
 
 
 def title(model: FittedModel) -> str:
@@ -32,8 +33,11 @@ def level(model: FittedModel) -> str:
     return f"{u:.6g} is taken off the input, and {y:.6g} added to the output" if u or y else ""
 
 
-def facts(model: FittedModel) -> list[str]:
-    """Sentences on how the model is to be used, and where it comes from."""
+def facts(model: FittedModel, settled: str = _SETTLED) -> list[str]:
+    """Sentences on how the model is to be used, and where it comes from.
+
+    ``settled`` says how one begins that is not at rest.
+    """
     about, chain = model.about, model.chain
     units = about.get("units", {})
     said = []
@@ -42,13 +46,8 @@ def facts(model: FittedModel) -> list[str]:
         said.append(f"The sampling interval is {float(chain.dt)!r}{unit and f' {unit}'}.")
     said += [f"The {name} is in {units[name]}." for name in ("input", "output") if units.get(name)]
     said += textwrap.wrap(f"{text[0].upper()}{text[1:]}.", WIDTH) if (text := level(model)) else []
-    said.append(
-        f"Before the first sample the input was {model.offsets[0]!r}, and all states were zero."
-        if model.past == "rest" and model.offsets[0]
-        else "Before the first sample the input was zero, and so were all states."
-        if model.past == "rest"
-        else "Before the first sample the input was its first value, and all blocks had settled to it."
-    )
+    rest = f"Before the first sample the input was {model.offsets[0]:.6g}, and all states were zero."
+    said.append(rest if model.past == "rest" else settled)
     for name, block in zip(chain.names, chain.blocks, strict=True):
         if isinstance(block, SampledTransferFunction):
             between = "held between samples" if block.intersample == "held" else "straight between samples"

@@ -26,8 +26,9 @@ from hident.static_functions import (
     Saturation,
     StaticFunction,
 )
+from hident.systems.function_basis import Functions
 from tests.forked import GUARD_SECONDS
-from tests.unit.model_maker import ORDERS, models
+from tests.unit.model_maker import GIVEN, ORDERS, models
 
 # Knots of the random functions lie within some 10 of zero: a part of the input is beyond them.
 INPUTS = st.integers(0, 2**32).map(lambda seed: np.random.default_rng(seed).normal(scale=4.0, size=50))
@@ -141,11 +142,14 @@ OCTAVE = shutil.which("octave-cli") or shutil.which("octave")
 @pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed: apt-get install octave")
 def test_octave_gives_the_same_response(tmp_path):
     u = np.random.default_rng(2).normal(size=60)
-    made = list(examples())
+    formulas = (*GIVEN, hi.Expression(expression="where(1 > 0, u, -u)"))
+    own = StaticFunction(Functions(formulas, -1.0, 1.0), (0.3, -0.2, 0.5, 1 / 3, 0.7, 0.9))
+    made = [*examples(), FittedModel(BlockChain((LINEAR["gain"], own, LINEAR["delayed"])))]
     lines = [f"u = [{', '.join(map(repr, u.tolist()))}];"]
     for i, model in enumerate(made):
         (tmp_path / f"model_{i}.m").write_text(hi.convert(model, "matlab", f"model_{i}"))
         lines += [f"printf('%.17g ', model_{i}(u)); printf('\\n');"]
+    lines += ["try, model_0(ones(2)), catch refused, disp(refused.message), end"]
     # A column stays a column, one sample is a signal, and none is none.
     lines += ["disp([size(model_0(u')), size(model_0(1)), size(model_0([])), size(model_1(single(u)))]);"]
     (tmp_path / "every_model.m").write_text("\n".join(lines))
@@ -158,10 +162,11 @@ def test_octave_gives_the_same_response(tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    *responses, sizes = done.stdout.splitlines()
+    *responses, refused, sizes = done.stdout.splitlines()
     assert len(responses) == len(made)
     for model, line in zip(made, responses, strict=True):
         assert_same(list(map(float, line.split())), model, u)
+    assert refused == "model_0: the input must be a vector"
     assert sizes.split() == ["60", "1", "1", "1", "0", "0", "1", "60"]
 
 
@@ -191,7 +196,8 @@ def test_an_unknown_target_is_refused_with_the_nearest():
     with pytest.raises(ConfigError) as caught:
         hi.convert(next(examples()), "mathlab")
     assert str(caught.value) == (
-        "there is no target 'mathlab'; did you mean 'matlab'? (there are: python, scipy, control, matlab)"
+        "there is no target 'mathlab'; did you mean 'matlab'? (there are: python, scipy, control, matlab, "
+        "simulink)"
     )
 
 
