@@ -14,7 +14,7 @@ from hident.fitted_model import FittedModel
 from hident.linear_blocks import TransferFunction, python_control
 from hident.models.plain_blocks import Filter, PlainBlock, as_filter, plain_blocks
 from hident.models.python_source import CURVES, as_rows, call, curves, head, joined, numbers
-from hident.models.source_text import kind_of
+from hident.models.source_text import added, kind_of
 
 _SYSTEM = "system() is the model as a system of python-control."
 _START = "control.input_output_response(system(), t, u, initial_state(u[0])) is its response."
@@ -173,12 +173,12 @@ def control_source(model: FittedModel) -> str:
         )
     made = "".join(
         [
-            *(f'    "{name}": lambda x: x + {by!r},\n' for name, by in _before(model).items()),
+            *(f'    "{name}": lambda x: x{added(by)},\n' for name, by in _before(model).items()),
             *(
                 f'    # {kind_of(block)}\n    "{name}": {_entry(plain)},\n'
                 for name, block, plain in zip(chain.names, chain.blocks, blocks, strict=True)
             ),
-            *(f'    "{name}": lambda x: x + {by!r},\n' for name, by in _after(model).items()),
+            *(f'    "{name}": lambda x: x{added(by)},\n' for name, by in _after(model).items()),
         ]
     )
     return joined(

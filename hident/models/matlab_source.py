@@ -19,7 +19,7 @@ from hident.models.plain_blocks import (
     plain_blocks,
 )
 from hident.models.python_source import numbers
-from hident.models.source_text import facts, kind_of, one_line, title, wrapped
+from hident.models.source_text import added, facts, kind_of, one_line, title, wrapped
 
 _LONGEST = 63
 _KEYWORD = re.compile(
@@ -157,11 +157,6 @@ def called(plain: PlainBlock, signal: str) -> str:
     """The call of a block's function with a signal."""
     arguments = [signal, *(written(value) for value in numbers(plain, MATLAB).values())]
     return f"{_FUNCTIONS[type(plain)][0]}(" + ", ...\n    ".join(arguments) + ")"
-
-
-def added(value: float) -> str:
-    """What adds a number that is not zero."""
-    return f" {'-' if value < 0.0 else '+'} {abs(value)!r}" if value else ""
 
 
 def written(value: Any) -> str:

@@ -23,9 +23,9 @@ of its samples, and the state of each linear block at the first of them (``zi`` 
 that settled to the first input).
 
 ``about`` may hold anything. What other parts of hident look for there is checked: ``input`` and ``output``
-(names of columns), ``units`` (of ``input``, ``output`` and ``time``), ``offsets`` (what was taken off the
-``input`` and the ``output`` before the fit) and ``detrend`` (how), ``data`` (the SHA-256 of each file),
-``hident`` (version), ``command`` and ``method``.
+(names of columns), ``units`` (of ``input``, ``output`` and ``time``), ``offsets`` (what is taken off the
+``input`` before the blocks, and off the ``output`` in the fit) and ``detrend`` (what was taken off the record
+of the fit), ``data`` (the SHA-256 of each file), ``hident`` (version), ``command`` and ``method``.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from hident.models.plain_blocks import (
     Row,
     plain_blocks,
 )
-from hident.models.source_text import WIDTH, facts, kind_of, one_line, title, wrapped
+from hident.models.source_text import WIDTH, added, facts, kind_of, one_line, title, wrapped
 
 CURVES: dict[type[PlainBlock], tuple[str, str]] = {
     BrokenLine: (
@@ -153,12 +153,12 @@ def _response(model: FittedModel, blocks: Sequence[PlainBlock]) -> str:
     lines.append("    if x.ndim != 1:")
     lines.append('        raise ValueError(f"the input must be of shape (N,), not {x.shape}")')
     before, after = model.offsets
-    lines += [f"    x = x - {before!r}"] if before else []
+    lines += [f"    x = x{added(-before)}"] if before else []
     for name, block, plain in zip(model.chain.names, model.chain.blocks, blocks, strict=True):
         function = "linear" if isinstance(plain, Filter) else CURVES[type(plain)][0]
         lines.append(f"    # {name}: {kind_of(block)}")
         lines.append(f"    x = {call(function, ['x'], numbers(plain), '    ')}")
-    return "\n".join([*lines, f"    return x + {after!r}" if after else "    return x", ""])
+    return "\n".join([*lines, f"    return x{added(after)}", ""])
 
 
 def numbers(block: PlainBlock, language: Language = NUMPY) -> dict[str, Any]:

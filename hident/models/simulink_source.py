@@ -12,10 +12,10 @@ from dataclasses import replace
 
 from hident.fitted_model import FittedModel
 from hident.models.formula_source import MATLAB
-from hident.models.matlab_source import added, called, functions, require_name, written
+from hident.models.matlab_source import called, functions, require_name, written
 from hident.models.plain_blocks import Filter, FormulaSum, PlainBlock, plain_blocks
 from hident.models.python_source import dt
-from hident.models.source_text import facts, kind_of, one_line, title
+from hident.models.source_text import added, facts, kind_of, one_line, title
 
 _SUFFIX = "_model"
 _EXPRESSION = replace(MATLAB, function="{}")

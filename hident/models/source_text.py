@@ -87,6 +87,11 @@ def one_line(text: str) -> str:
     return printed.translate({ord('"'): "'", ord("\\"): "/"})
 
 
+def added(value: float) -> str:
+    """What adds a number that is not zero."""
+    return f" {'-' if value < 0.0 else '+'} {abs(value)!r}" if value else ""
+
+
 def wrapped(words: Iterable[str], indent: str, end: str = "") -> str:
     """Words with commas between, in lines; ``end`` is what continues a line."""
     lines = textwrap.wrap(

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shlex
-import subprocess
-from shutil import which
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +22,7 @@ from hident.reports.output import Outputs, check
 from tests.documented import ROOT, blocks
 from tests.forked import run_forked
 from tests.unit.plans import planned
+from tests.unit.test_simulink import OCTAVE, octave
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -84,13 +83,28 @@ def test_the_commands_lead_from_a_file_to_a_model_elsewhere(folder: Path) -> Non
     assert {"model.json", "table.md", "kept_apart.png", "experiment.yaml"} <= written
 
 
-@pytest.mark.skipif(which("octave") is None, reason="Octave is not installed")
+@pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed: apt-get install octave")
 def test_the_matlab_function_gives_the_response_of_the_model(folder: Path) -> None:
-    program = "u = linspace(0, 3, 50)'; y = tank(u); printf('%.17g\\n', y);"
-    command = ["octave", "--no-gui", "--quiet", "--no-init-file", "--eval", program]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
+    program = "u = linspace(0, 3, 50)'; y = tank_response(u); printf('%.17g\\n', y);"
+    found = octave(folder, program)
     expected = hi.load_model(folder / "tanks/model.json").simulate(np.linspace(0, 3, 50))
-    np.testing.assert_allclose(np.fromstring(done.stdout, sep="\n"), expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(list(map(float, found)), expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed: apt-get install octave")
+def test_the_function_for_simulink_builds_the_model(folder: Path) -> None:
+    [line] = octave(folder, "tank(0.5); printf('%.17g ', simulated(linspace(0.5, 3, 50)));")
+    expected = hi.load_model(folder / "tanks/model.json").simulate(np.linspace(0.5, 3, 50))
+    np.testing.assert_allclose(np.fromstring(line, sep=" "), expected, rtol=0, atol=1e-9)
+
+
+def test_offsets_stay_with_the_model(folder: Path) -> None:
+    model = hi.load_model(folder / "level/model.json")
+    assert all(model.offsets)
+    space: dict[str, Any] = {}
+    exec((folder / "level_response.py").read_text(encoding="utf-8"), space)
+    u = np.linspace(0.5, 3, 50)
+    np.testing.assert_allclose(space["response"](u), model.simulate(u), rtol=0, atol=1e-9)
 
 
 def test_the_code_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,5 @@
 """A model that was found in a record less its means gives outputs as they were measured, wherever it runs."""
 
-import shutil
-import subprocess
 from dataclasses import replace
 from typing import Any
 
@@ -11,12 +9,12 @@ import pytest
 import hident as hi
 from hident.block_chain import BlockChain
 from hident.fitted_model import FittedModel
-from tests.forked import GUARD_SECONDS, run_forked
+from tests.forked import run_forked
+from tests.unit.test_simulink import OCTAVE, octave
 
 TANK = hi.Hammerstein(
     nonlinearity=hi.Polynomial(coefficients=[0, 1, 0.3]), linear=hi.Arma(a=[0.8], b=[0, 0.2])
 )
-OCTAVE = shutil.which("octave-cli") or shutil.which("octave")
 IDENTIFY = "identify tank.csv --input u --output y --dt 4 --structure hammerstein"
 
 
@@ -123,31 +121,28 @@ def test_a_system_of_control_applies_them(folder, name):
 
 
 @pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed: apt-get install octave")
-def test_a_function_of_matlab_applies_them(folder, expected):
+def test_matlab_and_simulink_apply_them(folder, expected):
     _, y = expected
-    run(folder, "convert mean/model.json --to matlab --out tank.m")
-    (folder / "all_of_it.m").write_text(
-        "data = dlmread('tank.csv', ',', 1, 0); printf('%.17g\\n', tank(data(:, 1)));\n"
-    )
-    done = subprocess.run(
-        [str(OCTAVE), "--norc", "--quiet", "all_of_it.m"],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=GUARD_SECONDS,
-        check=True,
-    )
-    assert_same(np.fromstring(done.stdout, sep="\n"), y)
+    for to in ("matlab", "simulink"):
+        run(folder, f"convert mean/model.json --to {to} --out tank_{to}.m")
+    program = [
+        "data = dlmread('tank.csv', ',', 1, 0); u = data(:, 1);",
+        "printf('%.17g ', tank_matlab(u)); printf('\\n');",
+        "tank_simulink(u(1)); printf('%.17g ', simulated(u'));",
+    ]
+    for line in octave(folder, "\n".join(program)):
+        assert_same(list(map(float, line.split())), y)
 
 
-@pytest.mark.parametrize("to", ["python", "scipy", "control", "matlab"])
+@pytest.mark.parametrize("to", ["python", "scipy", "control", "matlab", "simulink"])
 def test_every_source_says_so(folder, to):
     model = replace(
         hi.load_model(folder / "mean/model.json"), about={"offsets": {"input": 20.0, "output": 98.5}}
     )
     said = hi.convert(model, to)
     assert "20 is taken off the input, and 98.5 added to the output." in said
-    assert "Before the first sample the input was its first value" in said
+    begins = "It begins settled to an input of 20.0" if to == "simulink" else "the input was its first value"
+    assert begins in said
     said = hi.convert(replace(model, start="rest"), to)
     assert "Before the first sample the input was 20, and all states were zero." in said
     assert "20 is taken off the input, and 98.5 added to the output" in hi.formulas(model)
@@ -198,7 +193,7 @@ def test_lines_are_taken_off_by_who_compares(folder):
     )
 
 
-@pytest.mark.parametrize("to", ["python", "scipy", "control", "matlab"])
+@pytest.mark.parametrize("to", ["python", "scipy", "control", "matlab", "simulink"])
 def test_a_source_of_a_model_less_lines_says_so(folder, to):
     done = run(folder, f"convert linear/model.json --to {to}")
     assert "Straight lines were taken off the input and the output before the fit" in done.stdout
