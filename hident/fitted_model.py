@@ -110,6 +110,11 @@ class FittedModel:
     def level(self, record: Record) -> Record:
         """A record as the chain knows it: less the model's offsets.
 
+        Raises
+        ------
+        ValueError
+            If the record still has straight lines, and the model was fitted to one that had lost them.
+
         Examples
         --------
         >>> import hident as hi
@@ -126,6 +131,11 @@ class FittedModel:
     def _shifts(self, record: Record) -> tuple[float, float]:
         """What is left to take off a record's input, and to add to the chain's output for its own."""
         if self.is_detrended:
+            if not record.detrended:
+                raise ValueError(
+                    "the model was fitted to signals less their straight lines, which this record still has: "
+                    "read it with detrend='linear'"
+                )
             return 0.0, 0.0
         u, y = self.offsets
         return u - record.offsets.get("input", 0.0), y - record.offsets.get("output", 0.0)
@@ -143,7 +153,7 @@ class FittedModel:
         Raises
         ------
         ValueError
-            If an input is not of shape (N,).
+            If an input is not of shape (N,), or :meth:`level` raises one.
         """
         made = self.signals(record)[-1]
         add = self._shifts(record)[1] if isinstance(record, Record) else self.offsets[1]

@@ -143,7 +143,7 @@ class Record:
     sampling interval of its own, or where it matters what the input is between its samples. ``truth`` is
     there if the record was simulated. ``validation`` are other samples of the same system. ``units`` are
     those of the ``input``, the ``output`` and ``time``; ``offsets`` what was taken off the ``input`` and the
-    ``output`` as they were measured.
+    ``output`` as they were measured, and ``detrended`` says that each experiment has lost its straight lines.
 
     Raises
     ------
@@ -165,6 +165,7 @@ class Record:
     validation: Record | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     offsets: Mapping[str, float] = field(default_factory=dict)
+    detrended: bool = False
 
     def __post_init__(self) -> None:
         for name in ("u", "y"):
@@ -180,7 +181,8 @@ class Record:
 
     def with_signals(self, u: Array, y: Array) -> Record:
         """The record with other signals (N,): what ``replace`` gives, sooner."""
-        return Record(u, y, self.dt, self.truth, self.parts, self.validation, self.units, self.offsets)
+        known = self.parts, self.validation, self.units, self.offsets, self.detrended
+        return Record(u, y, self.dt, self.truth, *known)
 
     @classmethod
     def at(cls, t: Array, u: Array, y: Array) -> Record:

@@ -122,6 +122,9 @@ def simulate_model(
     if refused := _wrong_trend(model, options.get("detrend"), compare):
         raise ConfigError(f"{data}: {file} {refused}")
     record = _record(files, column, compare, options)
+    if model.is_detrended:
+        # Inputs with nothing to compare are taken as they stand, with a warning.
+        record = replace(record, detrended=True)
     if start is not None:
         model = replace(model, start=cast(_Start, start))
     if not any_dt:

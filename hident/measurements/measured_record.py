@@ -352,7 +352,8 @@ class MeasuredRecord(Spec):
             level = [
                 without_line(one) if self.detrend == "linear" else less(one, *offset) for one in experiments
             ]
-            return record_of([decimated(one, self.decimate) for one in level], units, offsets)
+            record = record_of([decimated(one, self.decimate) for one in level], units, offsets)
+            return replace(record, detrended=self.detrend == "linear")
         except ValueError as error:
             raise ConfigError(f"{one_of(self.file)}: {error}") from None
 

@@ -179,6 +179,15 @@ def test_lines_are_taken_off_by_who_compares(folder):
     assert_same(columns["y"], level.y)
     assert "all numbers are less the straight lines of this record" in done.stdout
     assert float(done.stdout.splitlines()[-2].rpartition("fit ")[2].removesuffix(" %")) > 90
+    raw = hi.read(folder / "tank.csv", input="u", output="y", dt=4)
+    with pytest.raises(
+        ValueError, match="straight lines, which this record still has: read it with detrend="
+    ):
+        model.simulate(raw)
+    blocks = [hi.PolynomialBlock(degree=2), hi.LinearBlock(nb=1, nf=1, nk=1)]
+    own = hi.fit(hi.PredictionError(blocks=blocks), level).model
+    assert isinstance(own, FittedModel)
+    assert own.is_detrended
     # What has no measured output is taken for what is left of a line, which is said.
     columns, done = simulated(folder, "linear/model.json tank.csv")
     assert_same(columns["simulated"], model.simulate(columns["u"]))

@@ -323,6 +323,7 @@ def _begun(form: Parameters, record: Record) -> tuple[Begun, ...]:
 def _about(fit: ChainFit, record: Record) -> Mapping[str, Any]:
     return {
         **({"offsets": dict(record.offsets)} if record.offsets else {}),
+        **({"detrend": "linear"} if record.detrended else {}),
         "method": "prediction_error",
         "status": fit.status,
         "iterations": fit.iterations,

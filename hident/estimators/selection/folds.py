@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -66,7 +66,7 @@ def _of_pieces(record: Record, pieces: Sequence[tuple[int, slice]]) -> Record:
     where = np.concatenate([np.zeros(0, dtype=int), *(np.arange(p.start, p.stop) for _, p in pieces)])
     u, y = record.u[where], record.y[where]
     parts = dict(_parts(record, pieces)) if len(pieces) > 1 or record.parts else {}
-    return Record(u, y, record.dt, record.truth, parts, units=record.units, offsets=record.offsets)
+    return replace(record, u=u, y=y, parts=parts, validation=None)
 
 
 def _parts(record: Record, pieces: Sequence[tuple[int, slice]]) -> Iterator[tuple[str, Part]]:
