@@ -6,9 +6,12 @@ system with the factor moved keeps that rule too; where none does, values cannot
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from hident.config.suggest import one_of
 from hident.estimators.base import (
@@ -28,6 +31,9 @@ from hident.systems.base import SystemSpec
 
 # A coefficient, of one of several blocks too: a_1, input_b_0.
 _COEFFICIENT = re.compile(r"(?:.*_)?(?P<letter>[a-h])_(?P<number>-?\d+)")
+
+# A value at zero this small beside others is rounding.
+_ROUNDED = 1e-12
 
 
 def governed(metric: MetricSpec, estimator: EstimatorSpec) -> Iterator[tuple[Normalisation, list[str]]]:
@@ -52,6 +58,17 @@ def completed(metric: MetricSpec, estimator: EstimatorSpec, dt: float | None) ->
     for rule, _ in governed(metric, estimator):
         left |= rule.left
     return metric.completed(left, estimator.discrete_step(dt))
+
+
+def level_at_zero(truth: Truth) -> float:
+    """The value of the true nonlinearity at zero; 0 where there is none, or no more than rounding."""
+    if truth.nonlinearity is None:
+        return 0.0
+    with np.errstate(all="ignore"):
+        level, *beside = truth.nonlinearity(np.array([0.0, -1.0, 1.0])).tolist()
+    if not math.isfinite(level) or abs(level) <= _ROUNDED * max(map(abs, beside)):
+        return 0.0
+    return float(level)
 
 
 def compared_values(metric: MetricSpec) -> list[str]:

@@ -15,7 +15,7 @@ from hident.config.spec import Component
 from hident.errors import EstimationError
 from hident.estimators.normalisation import Normalisation
 from hident.model_output import simulated
-from hident.records import Estimate, ModelPart, Record
+from hident.records import Estimate, ModelPart, Record, Response
 
 Experiments = Literal["one", "at_one_interval", "any"]
 """The records of several experiments that an estimator takes: none, those with one sampling interval, all."""
@@ -258,6 +258,11 @@ def unknown_past(samples: int) -> int:
 def with_errors(names: Sequence[str]) -> list[str]:
     """The names, then those of their standard errors."""
     return [*names, *(f"se_{name}" for name in names)]
+
+
+def offset(response: Response, constant: float | None) -> Response:
+    """The response with a constant added to it, if there is one."""
+    return response if constant is None else lambda u, dt: response(u, dt) + constant
 
 
 def require_finite(y: Array) -> None:

@@ -50,6 +50,8 @@ class Normalisation:
     no data determine of these parts; ``left`` is what of it the method does not fix either. ``found`` gives
     the rule of one estimate, where that depends on what was found, such as a delay; None: all have this one.
     ``says`` gives the rule in words where these depend on the system; None: ``rule`` of all.
+    ``through_zero`` is whether the method takes the nonlinearity to be zero at zero, with nothing added to
+    the output, whatever the data say.
     """
 
     rule: str
@@ -59,6 +61,7 @@ class Normalisation:
     left: frozenset[Freedom] = frozenset()
     found: Callable[[Estimate], Normalisation] | None = None
     says: Callable[[Truth, float | None], str] | None = None
+    through_zero: bool = False
 
     def said(self, truth: Truth, dt: float | None) -> str:
         """The rule in words, for the estimates of a system."""
@@ -75,6 +78,15 @@ class Normalisation:
     def leaving(self, *left: Freedom, says: str = "") -> Normalisation:
         """The rule of a method that does not fix these, with what it ``says`` of them."""
         return replace(self, rule=self.rule + says, free=self.free | {*left}, left=self.left | {*left})
+
+    def beside(self, constant: bool, *, through_zero: bool = True) -> Normalisation:
+        """The rule of a nonlinearity with a ``constant`` of the output beside it, or without.
+
+        Such a constant cannot be told from one of the nonlinearity.
+        """
+        if constant:
+            return self.leaving("constant", says=", a constant left open")
+        return replace(self, through_zero=through_zero)
 
     def of_signs(self) -> Normalisation:
         """The rule for the signs of the factors alone."""

@@ -96,14 +96,12 @@ class Comparing(MetricSpec):
     """Base of the metrics that compare values with the truth's, of which no data determine some."""
 
     choices: ClassVar[tuple[Freedom, ...]] = ()
-    """What it can choose for the least error."""
-    takes_off: ClassVar[frozenset[Freedom]] = frozenset()
-    """What of it is chosen where nothing is written and the method leaves it open."""
+    """What it can choose for the least error; where nothing is written, what the method leaves open of it."""
 
     up_to: tuple[Freedom, ...] | None = None
     """What no data determine and is chosen for the least error: gain, sign, delay, constant; []: nothing, the
-    values as they are written. Left out or without gain, the truth is brought to the estimator's form;
-    with gain and without sign, to its sign."""
+    values as they are written. Left out, what the method leaves open, such as a constant. Left out or without
+    gain, the truth is brought to the estimator's form; with gain and without sign, to its sign."""
 
     @field_validator("up_to")
     @classmethod
@@ -118,7 +116,7 @@ class Comparing(MetricSpec):
     def completed(self, left: Set[Freedom], step: float) -> MetricSpec:
         if self.up_to is not None:
             return self
-        return self.model_copy(update={"up_to": tuple(n for n in FREEDOMS if n in left & self.takes_off)})
+        return self.model_copy(update={"up_to": tuple(n for n in self.choices if n in left)})
 
     def says(self, dt: float | None) -> str:
         if self.up_to is None:

@@ -100,8 +100,8 @@ class IntegratedSquaredError(_OnInterval):
     estimates the same integral when the input is uniform there, but scores the estimate only where a sample
     supports it, and each estimate there holds its own sample. ``at: left_out_samples`` is the same mean over
     the samples that the estimator used, each estimate without its own (leave one out): bandwidth, cutoff
-    level and prefilter stay. A constant that the estimator leaves open counts, as in the paper, unless
-    ``up_to: [constant]`` takes it off.
+    level and prefilter stay. A constant that the estimator leaves open is taken off; in the paper it counts,
+    as by ``up_to: []``.
 
     Examples
     --------
@@ -164,6 +164,9 @@ class IntegratedSquaredError(_OnInterval):
 @component("metric", "mise_reduction", source="Mzyk 2009, section V")
 class ErrorReduction(IntegratedSquaredError):
     """The integrated squared error without the prefilter over that with it, on the same record.
+
+    Undoing the linear block determines the constant that the estimate without it leaves open: so it counts,
+    unless ``up_to: [constant]`` takes it off both.
 
     Examples
     --------
@@ -237,8 +240,6 @@ class NonlinearityPercentError(_OnInterval):
     >>> round(hi.score(estimate, record, percent=metric)["percent"], 6)
     0.0
     """
-
-    takes_off: ClassVar[frozenset[Freedom]] = frozenset({"constant"})
 
     def check(self, scored: Scored) -> None:
         truth = scored.truth

@@ -10,6 +10,7 @@ from hident.engine.comparable import (
     depends_on_estimate,
     governed,
     is_as_declared,
+    level_at_zero,
     moved,
     quantity_of,
     unsaid,
@@ -57,7 +58,27 @@ def scoring(plan: Plan) -> Iterator[str]:
         yield f"Metric {name}: up to {words}, which the method leaves open ({one_of(estimators)})."
     for name, sentences in said.items():
         yield f"Metric {name}: {'; '.join(sentences)}."
+    yield from _not_held(plan)
     yield from _by_name(plan)
+
+
+def _not_held(plan: Plan) -> Iterator[str]:
+    """Which methods take a nonlinearity through zero for one that is not, which biases all that they find."""
+    found: dict[str, list[str]] = {}
+    for unit in plan.units:
+        through_zero = any(rule.through_zero for rule in unit.estimator.normalisations() or ())
+        if through_zero and (level := level_at_zero(unit.data.system.truth())):
+            _add(found.setdefault(unit.name, []), f"{level:.4g}")
+    groups: dict[str, list[str]] = {}
+    for name, levels in found.items():
+        said = one_of(levels) if len(levels) <= _MOST_FACTORS else "another value in each case"
+        groups.setdefault(said, []).append(name)
+    for said, names in groups.items():
+        yield (
+            f"The system's nonlinearity is {said} at zero, and {one_of(names)} "
+            f"{'takes' if len(names) == 1 else 'take'} it to be 0 there, which biases the estimates: "
+            "'constant: true' estimates a constant."
+        )
 
 
 def _by_name(plan: Plan) -> Iterator[str]:

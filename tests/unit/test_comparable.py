@@ -102,9 +102,9 @@ def test_another_split_of_the_gain_reads_a_few_per_cent_and_says_up_to_what(plan
     assert Outputs(plan, tmp_path / "out").write(results, {}) == ()
     assert (
         "Absolute values are compared in nonlinearity; the free factor between the blocks: |b| = 1, b_1 > 0 "
-        "(two-stage); gamma_0 = 1, a constant left in, lags counted from the delay found (kernel). The truth "
-        "is brought to that form: linear block divided by 2.236 (two-stage); linear block divided by 2 at "
-        "the system's own delay (kernel). "
+        "(two-stage); gamma_0 = 1, a constant left open, lags counted from the delay found (kernel). The "
+        "truth is brought to that form: linear block divided by 2.236 (two-stage); linear block divided by 2 "
+        "at the system's own delay (kernel). "
         "Metric nonlinearity: up to a constant, which the method leaves open (kernel)."
     ) in (tmp_path / "out" / "table.md").read_text(encoding="utf-8")
 
@@ -117,7 +117,7 @@ def test_what_no_factor_brings_to_the_rule_is_refused_with_the_remedies(refusals
     assert message.endswith(
         "metrics.nonlinearity: the metric 'nonlinearity_percent_error' compares absolute values "
         "(nonlinearity), and no data determine the factor between the blocks: estimator 'kernel' (kernel) "
-        "fixes it by the rule 'gamma_0 = 1, a constant left in'; the system's block delays its input by 1 "
+        "fixes it by the rule 'gamma_0 = 1, a constant left open'; the system's block delays its input by 1 "
         "sample, and the estimator counts on 0: set the estimator's 'delay' to 1, or to search, choose it "
         "for the least error by 'up_to: [gain, sign, constant]' under it, or limit the metric to other "
         "estimators by 'estimators:' under it"
@@ -527,9 +527,12 @@ def test_tables_say_which_rule_a_score_used_and_what_it_leaves_apart(plan_of):
     mise = "{kind: mise, interval: [-1, 1]}"
     rule = (
         "Absolute values are compared in m; "
-        "the free factor between the blocks: gamma_0 = 1, a constant left in."
+        "the free factor between the blocks: gamma_0 = 1, a constant left open."
     )
-    assert list(scoring(plan_of(discrete(hammerstein("[1]"), kernel, mise)))) == [rule]
+    assert list(scoring(plan_of(discrete(hammerstein("[1]"), kernel, mise)))) == [
+        rule,
+        "Metric m: up to a constant, which the method leaves open (e).",
+    ]
     assert list(scoring(plan_of(discrete(hammerstein("[2]"), kernel)))) == [
         rule,
         "The truth is brought to that form: linear block divided by 2 at the system's own delay (e).",

@@ -150,7 +150,7 @@ def test_the_rule_is_that_of_the_coefficient_at_the_delay(delay, b, factor, pref
     counted = {2: ", lags counted from the delay 2", "search": ", lags counted from the delay found", 0: ""}[
         delay
     ]
-    assert rule.rule == ("b_0 = 1" if prefilter else "gamma_0 = 1, a constant left in") + counted
+    assert rule.rule == ("b_0 = 1" if prefilter else "gamma_0 = 1, a constant left open") + counted
 
 
 def test_a_delay_beyond_the_system_s_own_fixes_the_impulse_response_there():
@@ -382,8 +382,8 @@ def test_the_rule_says_where_an_earlier_input_is_taken(b, said):
     system = hi.Hammerstein(nonlinearity="abs", linear=hi.Fir(b=b))
     (rule,) = kernel().normalisations()
     counted = ", lags counted from the delay found" if said else ""
-    assert rule.said(system.truth(), None) == f"gamma_0 = 1, a constant left in{counted}"
-    assert rule.said(Truth(), None) == "gamma_0 = 1, a constant left in"
+    assert rule.said(system.truth(), None) == f"gamma_0 = 1, a constant left open{counted}"
+    assert rule.said(Truth(), None) == "gamma_0 = 1, a constant left open"
 
 
 def test_a_delay_at_which_the_system_gives_nothing_is_scored_by_the_system_s_own():

@@ -334,7 +334,8 @@ def test_dependent_regressors():
     constant = ["identity", {"kind": "power", "exponent": 0}]
     assert failure(spec(degree=None, basis=constant), irregular) == (
         "the regressors phi_2(x(t-1)), phi_2(x(t-2)) are linearly dependent (rank 3 of 4): "
-        "a combination of the basis functions is constant and equals its own lags: leave one function out"
+        "a combination of the basis functions is constant and equals its own lags: leave one function out "
+        "and set 'constant: true' instead"
     )
     assert failure(spec(degree=1, lags=4, delay=2), np.tile(irregular[:3], 20)) == (
         "the regressors phi_1(x(t-2)), phi_1(x(t-5)) are linearly dependent (rank 3 of 4): past inputs "

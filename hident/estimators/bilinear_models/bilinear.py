@@ -7,9 +7,11 @@ b        the n coefficients of the linear block, of length one, the first non-ze
 Phi      regressors phi_j(x(t-i)), shape (rows, n m): the lag i runs faster than j
 Theta    the n x m matrix of the coefficients of Phi; b a' for a Hammerstein system
 F        a root of the weighting matrix, W = F'F, given as a map of signals
+k        constant of the output, if there is one: y = Phi theta + k + noise
 =======  ====================================================================================
 
-Equation numbers are those of Wang, Zhang, Ljung 2009.
+Equation numbers are those of Wang, Zhang, Ljung 2009. They have no constant k: with the best k the problem
+is the one in Phi and y less their weighted means (Frisch and Waugh), so that all else stays as it is.
 """
 
 from __future__ import annotations
@@ -61,11 +63,33 @@ def regressors(basis: Array, n: int, delay: int = 1) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
+class Level:
+    """The constant of a weighted output, whose regressor F 1 is ``ones`` (M,) under the ``root`` F."""
+
+    root: Root
+    ones: Array
+
+    @classmethod
+    def of(cls, root: Root, rows: int) -> Self:
+        return cls(root, root(np.ones(rows)))
+
+    def best(self, residuals: Array) -> Array:
+        """The constant (...) that fits ``residuals`` (..., rows) best."""
+        return times(self.root(residuals), self.ones[:, None])[..., 0] / float(self.ones @ self.ones)
+
+    def without(self, signals: Array) -> Array:
+        """F times the signals (..., rows) less the best constant of each, shape (..., M)."""
+        weighted = self.root(signals)
+        unit = self.ones / np.linalg.norm(self.ones)
+        return weighted - times(weighted, unit[:, None]) * unit
+
+
+@dataclass(frozen=True, eq=False)
 class Regression:
     """The weighted regressors F Phi = Q R, factored once for the outputs of any number of trials.
 
     ``phi`` has shape (rows, n m), ``q`` (M, n m), ``r`` and its inverse ``g`` (n m, n m); so
-    (Phi'W Phi)^-1 = g g'.
+    (Phi'W Phi)^-1 = g g'. With a ``level``, F leaves no constant of a signal.
     """
 
     phi: Array
@@ -74,10 +98,13 @@ class Regression:
     q: Array
     r: Array
     g: Array
+    level: Level | None = None
 
     @classmethod
-    def of(cls, phi: Array, n: int, root: Root = identity, delay: int = 1) -> Self:
+    def of(cls, phi: Array, n: int, root: Root = identity, delay: int = 1, *, constant: bool = False) -> Self:
         """Factor the regressors ``phi`` of ``n`` lags; ``delay`` only names them in messages.
+
+        With ``constant`` the output has one that is not known, under any ``root`` that keeps some of it.
 
         Raises
         ------
@@ -85,16 +112,23 @@ class Regression:
             If there are fewer rows than regressors, or the regressors are linearly dependent (assumption 2
             fails); the message names them and says what would separate them.
         """
-        if len(phi) < phi.shape[1]:
+        if len(phi) < (unknowns := phi.shape[1] + constant):
             raise EstimationError(
-                f"{len(phi)} equations cannot determine {phi.shape[1]} coefficients: "
+                f"{len(phi)} equations cannot determine {unknowns} coefficients: "
                 "use a longer record, fewer lags or fewer basis functions"
             )
+        level = Level.of(root, len(phi)) if constant else None
+        if level is not None:
+            # Without its constant, a regressor that is one would be rounding, and of any direction.
+            with_ones = Factorisation.of(np.column_stack([root(phi.T).T, level.ones]))
+            if len(null := with_ones.null):
+                raise EstimationError(_dependence(phi, n, delay, null[:, :-1], constant=True))
+            root = level.without
         factors = Factorisation.of(root(phi.T).T)
         if len(null := factors.null):
             raise EstimationError(_dependence(phi, n, delay, null))
         upper = factors.r * factors.length
-        return cls(phi, n, root, factors.q, upper, factors.inverse_root)
+        return cls(phi, n, root, factors.q, upper, factors.inverse_root, level)
 
     def projected(self, y: Array) -> Array:
         """Q'F y: all that the estimates need of the outputs ``y`` (..., rows)."""
@@ -106,9 +140,16 @@ class Regression:
         return stacked.reshape(*stacked.shape[:-1], -1, self.n).swapaxes(-1, -2)
 
     def residuals(self, y: Array, theta: Array) -> Array:
-        """y - Phi Theta, of the shape of ``y`` (..., rows), for Theta (..., n, m)."""
+        """y - Phi Theta, of the shape of ``y`` (..., rows), for Theta (..., n, m); less the best constant."""
         stacked = theta.swapaxes(-1, -2).reshape(*theta.shape[:-2], -1)
-        return y - times(stacked, self.phi.T)
+        residuals = y - times(stacked, self.phi.T)
+        return residuals if self.level is None else residuals - self.level.best(residuals)[..., None]
+
+    def constants(self, y: Array, b: Array, a: Array) -> Array:
+        """The constants (...) of outputs ``y`` (..., rows) beside b (..., n) and a (..., m)."""
+        assert self.level is not None
+        theta = (a[..., :, None] * b[..., None, :]).reshape(*b.shape[:-1], -1)
+        return self.level.best(y - times(theta, self.phi.T))
 
     def covariance_roots(self, b: Array, a: Array) -> tuple[Array, Array]:
         """Roots of the covariances of b and a by the delta method, for a noise with W^-1 as covariance.
@@ -136,7 +177,7 @@ class Regression:
 
         It is nan if there are no more rows than regressors.
         """
-        spare = len(self.phi) - self.phi.shape[1]
+        spare = len(self.phi) - self.phi.shape[1] - (self.level is not None)
         weighted = self.root(self.residuals(y, theta))
         return np.asarray(np.sum(weighted**2, axis=-1) / (spare or np.nan))
 
@@ -166,35 +207,45 @@ def loss(regression: Regression, y: Array, b: Array, a: Array, root: Root) -> Ar
     return np.asarray(np.sum(weighted**2, axis=-1))
 
 
-def _dependence(phi: Array, n: int, delay: int, null: Array) -> str:
-    """What to say of regressors whose null space has the basis ``null`` (columns scaled to length one)."""
+def _dependence(phi: Array, n: int, delay: int, null: Array, *, constant: bool = False) -> str:
+    """What to say of regressors whose null space has the basis ``null`` (columns scaled to length one).
+
+    With ``constant`` that of the output is one more of them, and its column of ``null`` is left out.
+    """
     involved = np.flatnonzero(np.abs(null).max(axis=0) > 1e-6)
     names = [f"phi_{k // n + 1}(x(t-{k % n + delay}))" for k in involved]
     shown = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+    count, also = phi.shape[1] + constant, " and the constant of the output" * constant
     return (
-        f"the regressors {shown} are linearly dependent (rank {phi.shape[1] - len(null)} "
-        f"of {phi.shape[1]}): {_remedy(phi[:, ::n], n)}"
+        f"the regressors {shown}{also} are linearly dependent (rank {count - len(null)} "
+        f"of {count}): {_remedy(phi[:, ::n], n, constant)}"
     )
 
 
-def _remedy(basis: Array, n: int) -> str:
+def _remedy(basis: Array, n: int, constant: bool) -> str:
     """Which input or basis would separate the regressors; ``basis`` (rows, m) holds those of one lag."""
     m = basis.shape[1]
     levels = len(np.unique(basis, axis=0))
     # Over several lags, a constant among the combinations of phi_j cannot be told from its own lags.
-    needed = m if n == 1 else m + 1
+    needed = m if n == 1 and not constant else m + 1
     if levels < needed:
         return (
             f"the input takes {levels} different value{'s' if levels > 1 else ''}, "
             f"and {m} basis function{'s' if m > 1 else ''} over {n} lag{'s' if n > 1 else ''} "
-            f"need{'s' if m == 1 else ''} at least {needed}"
+            f"{'beside a constant ' * constant}need{'s' if m == 1 else ''} at least {needed}"
         )
     if np.linalg.matrix_rank(basis / lengths(basis), tol=1e-10) < m:
         return "the basis functions coincide where the input is: use a wider input or other functions"
     with_constant = np.column_stack([basis, np.ones(len(basis))])
+    if constant and np.linalg.matrix_rank(with_constant / lengths(with_constant), tol=1e-10) <= m:
+        return (
+            "a combination of the basis functions is constant, as 'constant' is: leave one function out, or "
+            "'constant'"
+        )
     if n > 1 and np.linalg.matrix_rank(with_constant / lengths(with_constant), tol=1e-10) <= m:
         return (
-            "a combination of the basis functions is constant and equals its own lags: leave one function out"
+            "a combination of the basis functions is constant and equals its own lags: leave one function "
+            "out and set 'constant: true' instead"
         )
     return (
         "past inputs repeat one another: use an input that varies irregularly from sample to sample, "

@@ -376,7 +376,7 @@ class BilinearLeastSquares(WeightedBilinearSpec):
         if self.weight == "inverse_gram" or isinstance(self.weight, InverseGram):
             # Theorems 2 and 3: the solution is the two-stage estimate without that weighting.
             return white.standard_errors(b, a, white.variance(y, white.theta(y)))
-        n, spare = b.shape[-1], y.shape[-1] - b.shape[-1] - a.shape[-1] + 1
+        n, spare = b.shape[-1], y.shape[-1] - b.shape[-1] - a.shape[-1] + 1 - self.constant
         std = np.sqrt(loss(white, y, b, a, white.root) / spare)[:, None]
         errors = std * np.linalg.norm(covariance_root(white, b, a), axis=-1)
         return errors[:, :n], errors[:, n:]

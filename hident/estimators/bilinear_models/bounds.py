@@ -63,7 +63,7 @@ class CramerRao(BilinearSpec):
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         phi, parts = self.design(record)
         root = partial(ArModel(np.array(self.noise.a)).whiten, parts=parts) if self.noise else identity
-        regression = Regression.of(phi, self.lags, root, self.delay)
+        regression = Regression.of(phi, self.lags, root, self.delay, constant=self.constant)
         bounds = cramer_rao(regression, *self.true_parameters(record), self.variance)
         return Estimate(values=self.named(*bounds))
 
@@ -99,7 +99,7 @@ class KnownNonlinearity(WeightedSpec):
         return (known_function("the nonlinearity is the given one", self.nonlinearity),)
 
     def names(self) -> list[str]:
-        return [*with_errors(self.b_names()), *self.noise_names()]
+        return [*with_errors(self.b_names()), *self.noise_names(), *self.constant_names()]
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         phi, y, parts = self.data(record)
@@ -108,9 +108,10 @@ class KnownNonlinearity(WeightedSpec):
         white = weighted.white
         errors = np.sqrt(white.variance(y, white.theta(y))) * np.linalg.norm(white.g, axis=1)
         b = theta[:, 0]
+        constants = [white.constants(y, b, np.ones(1))] if self.constant else []
         estimate = Estimate(
             nonlinearity=self.nonlinearity,
             linear=self.linear(b),
-            values=self.named(b, errors, weighted.order),
+            values=self.named(b, errors, weighted.order, constants),
         )
         return self.responding(estimate, record.dt)

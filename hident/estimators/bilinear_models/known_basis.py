@@ -14,13 +14,14 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from hident.arrays import Array, Characteristic
-from hident.config.spec import Count
+from hident.config.spec import Count, Flag
 from hident.errors import EstimationError
 from hident.estimators.base import (
     FUNCTIONS,
     IMPULSE_RESPONSE,
     POWERS,
     AtOneInterval,
+    offset,
     require_finite,
     require_varying,
     varies,
@@ -60,6 +61,9 @@ class LaggedSpec(AtOneInterval):
     """Number n of coefficients of the linear block."""
     delay: Annotated[Count, Field(ge=0)] = 1
     """The first lag: y(t) depends on x(t-delay), ..., x(t-delay-lags+1)."""
+    constant: Flag = False
+    """Estimate a constant that is added to the output, such as the offset of a sensor or the nonlinearity's
+    own; else it is zero, and one that is there biases all parameters."""
 
     def functions(self) -> tuple[NonlinearitySpec, ...]:
         """phi_1, ..., phi_m."""
@@ -72,7 +76,15 @@ class LaggedSpec(AtOneInterval):
 
     def fewest_samples(self) -> int:
         # One equation more than coefficients, for the variance of the noise.
-        return self.first + self.lags * len(self.functions()) + 1
+        return self.first + self.lags * len(self.functions()) + 1 + self.constant
+
+    def free_parameters(self) -> int | None:
+        found = super().free_parameters()
+        return None if found is None else found + self.constant
+
+    def constant_names(self) -> list[str]:
+        """The name of the constant's value, if it is estimated."""
+        return ["constant"] if self.constant else []
 
     def basis_values(self, x: Array) -> Array:
         """The basis functions (m, N) of the input.
@@ -143,7 +155,7 @@ class LaggedSpec(AtOneInterval):
     def check_record(self, record: Record) -> None:
         phi, _ = self.design(record)
         try:
-            Regression.of(phi, self.lags, delay=self.delay)
+            Regression.of(phi, self.lags, delay=self.delay, constant=self.constant)
         except EstimationError as error:
             raise EstimationError(f"the input cannot tell the parameters apart: {error}") from None
 
@@ -156,14 +168,21 @@ class LaggedSpec(AtOneInterval):
         return TransferFunction(b=(0.0,) * self.delay + tuple(b.tolist()))
 
     def responding(self, estimate: Estimate, dt: float | None) -> Estimate:
-        """The estimate with the response of its two blocks, from rest."""
+        """The estimate with the response of its two blocks, from rest, and its constant."""
         nonlinearity, linear = needed(estimate.nonlinearity), needed(estimate.linear)
-        return replace(estimate, response=self.response(nonlinearity, linear, dt))
+        constant = estimate.values.get("constant")
+        return replace(estimate, response=self.response(nonlinearity, linear, dt, constant))
 
     @staticmethod
-    def response(nonlinearity: Characteristic, linear: TransferFunction, dt: float | None) -> Response:
-        """The response of the two blocks, from rest."""
-        return at_step(lambda u: linear.filter(nonlinearity(u)), 1.0 if dt is None else dt)
+    def response(
+        nonlinearity: Characteristic,
+        linear: TransferFunction,
+        dt: float | None,
+        constant: float | None = None,
+    ) -> Response:
+        """The response of the two blocks, from rest, and a constant beside it."""
+        of_blocks = at_step(lambda u: linear.filter(nonlinearity(u)), 1.0 if dt is None else dt)
+        return offset(of_blocks, constant)
 
 
 class BilinearSpec(LaggedSpec):
@@ -201,11 +220,17 @@ class BilinearSpec(LaggedSpec):
         return {"a": self.basis_letter(), "b": IMPULSE_RESPONSE}
 
     def normalisations(self) -> tuple[Normalisation, ...]:
-        return (unit_length(self.delay, self.lags, "a b", responses=True),)
+        return (self.beside_constant(unit_length(self.delay, self.lags, "a b", responses=True)),)
+
+    def beside_constant(self, rule: Normalisation) -> Normalisation:
+        """The rule, with what is said of a constant."""
+        with np.errstate(all="ignore"):
+            at_zero = [phi(np.zeros(1))[0] for phi in self.functions()]
+        return rule.beside(self.constant, through_zero=not np.any(at_zero))
 
     def free_parameters(self) -> int:
         # The length of b is one.
-        return len(self.parameters()) - 1
+        return len(self.parameters()) - 1 + self.constant
 
     def true_parameters(self, record: Record) -> tuple[Array, Array]:
         """b and a of the simulated system, normalised.
@@ -227,10 +252,12 @@ class BilinearSpec(LaggedSpec):
         b = np.zeros(self.lags)
         b[: len(response) - self.delay] = response[self.delay :]
         basis, w = self.basis_values(record.u), truth.nonlinearity(record.u)
+        if self.constant:
+            basis = np.vstack([basis, np.ones(len(w))])
         a = Factorisation.of(basis.T).solution(w)
         if np.linalg.norm(a @ basis - w) > 1e-9 * np.linalg.norm(w):
             raise EstimationError("the true nonlinearity is not a combination of the basis functions")
-        return normalised(b, a)
+        return normalised(b, a[: len(self.functions())])
 
     def parameters(self) -> list[str]:
         """The names of b_i and a_j."""

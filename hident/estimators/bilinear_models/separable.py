@@ -10,6 +10,8 @@ r       residuals; for given f, of the best a, b and start
 ``parts`` say where the rows of each experiment stand (one by default): each is filtered from rest by itself,
 and has a start of its own.
 
+The output may hold a constant beside (1/F) b'phi(t)a, which for given f is one more of the starts.
+
 For given f the problem is the bilinear one with X for Phi. Wang, Zhang, Ljung 2009, section 2, name this
 way and leave it out.
 """
@@ -53,7 +55,8 @@ class Inner:
     """The best a, b and start for given f, with the residuals (rows,) and the output without noise (rows,).
 
     ``derivative`` (rows, p + n + m - 1 + p for each experiment) is that of the output by f, by b and a within
-    assumption 1, and by the start; ``tangent`` (n + m, n + m - 1) are the directions of b and a.
+    assumption 1, and by the start; ``tangent`` (n + m, n + m - 1) are the directions of b and a. ``constant``
+    is that of the output, which has the last column of the derivative; None if it has none.
     """
 
     f: Array
@@ -63,6 +66,7 @@ class Inner:
     output: Array
     jacobian: Array
     tangent: Array
+    constant: float | None = None
 
     @property
     def loss(self) -> float:
@@ -94,7 +98,7 @@ def _impulses(p: int, parts: Parts) -> Array:
     return impulses
 
 
-def start(phi: Array, y: Array, p: int, parts: Parts | None = None) -> Array:
+def start(phi: Array, y: Array, p: int, parts: Parts | None = None, *, constant: bool = False) -> Array:
     """First estimate of f (p,): a linear regression for F y, repeated with everything filtered by 1/F.
 
     ``phi`` has shape (rows, n m), ``y`` (rows,). The first round is exact without noise, and the repetition
@@ -106,7 +110,11 @@ def start(phi: Array, y: Array, p: int, parts: Parts | None = None) -> Array:
         If the regressors are dependent, or there are too few rows.
     """
     parts = parts or whole(len(y))
-    unknowns = p + phi.shape[1] + _impulses(p, parts).shape[1]
+    beside = _impulses(p, parts)
+    if constant:
+        # F times a constant is one but for the start, and 1/F of that is one again.
+        beside = np.column_stack([beside, np.ones(len(y))])
+    unknowns = p + phi.shape[1] + beside.shape[1]
     if len(y) <= unknowns:
         raise EstimationError(
             f"{len(y)} equations cannot determine {unknowns} unknowns, the start of each experiment among "
@@ -114,7 +122,7 @@ def start(phi: Array, y: Array, p: int, parts: Parts | None = None) -> Array:
         )
     f = np.zeros(p)
     for _ in range(1 + _PREFILTERINGS):
-        filtered = _filtered(f, np.column_stack([y, phi, _impulses(p, parts)]), parts)
+        filtered = _filtered(f, np.column_stack([y, phi, beside]), parts)
         columns = np.column_stack([_delayed(filtered[:, 0], p, parts), filtered[:, 1:]])
         regression = Factorisation.of(columns)
         if regression.is_dependent:
@@ -147,6 +155,8 @@ def inner_solution(
     n: int,
     guess: tuple[Array, Array] | None = None,
     parts: Parts | None = None,
+    *,
+    constant: bool = False,
 ) -> Inner:
     """Solve the bilinear problem for given f, from ``guess`` or the two-stage estimate.
 
@@ -157,6 +167,8 @@ def inner_solution(
     """
     p, parts = len(f), parts or whole(len(y))
     X, H = _filtered(f, phi, parts), _filtered(f, _impulses(p, parts), parts)
+    if constant:
+        H = np.column_stack([H, np.ones(len(y))])
     q = np.linalg.qr(H).Q
 
     def without_start(signals: Array) -> Array:
@@ -173,12 +185,14 @@ def inner_solution(
     rest = y - X @ np.outer(a, b).ravel()
     residuals = without_start(rest)
     output = y - residuals
+    level = float(Factorisation.of(H).solution(rest)[-1]) if constant else None
     tangent = complement(np.concatenate([b, np.zeros_like(a)]))
     # F y = b'phi a + impulses: so the derivative by f_k is 1/F of the output k samples ago.
+    driven = output if level is None else output - level
     derivative = np.column_stack(
-        [_filtered(f, _delayed(output, p, parts), parts), jacobian(X, b, a) @ tangent, H]
+        [_filtered(f, _delayed(driven, p, parts), parts), jacobian(X, b, a) @ tangent, H]
     )
-    return Inner(f, b, a, residuals, output, derivative, tangent)
+    return Inner(f, b, a, residuals, output, derivative, tangent, level)
 
 
 def separable_least_squares(
@@ -190,6 +204,7 @@ def separable_least_squares(
     parts: Parts | None = None,
     tolerance: float = 1e-10,
     max_iterations: int = 100,
+    constant: bool = False,
 ) -> tuple[Inner, int]:
     """Fit y(t) = (1/F) b'phi(t) a + v(t): f by Gauss and Newton's method, a, b and the start inside.
 
@@ -207,6 +222,8 @@ def separable_least_squares(
         Converged when a step in f changes the output by less than this, relative to it.
     max_iterations : int
         Most steps.
+    constant : bool
+        Whether the output has a constant beside this.
 
     Returns
     -------
@@ -228,10 +245,11 @@ def separable_least_squares(
         f = current.f + step[:p]
         if not TransferFunction(a=tuple(f)).is_stable():
             return None
-        return inner_solution(f, phi, y, n, (current.b, current.a), parts)
+        return inner_solution(f, phi, y, n, (current.b, current.a), parts, constant=constant)
 
+    first = start(phi, y, p, parts, constant=constant)
     found = gauss_newton(
-        inner_solution(start(phi, y, p, parts), phi, y, n, parts=parts),
+        inner_solution(first, phi, y, n, parts=parts, constant=constant),
         moved,
         lambda current, length: length <= tolerance * float(np.linalg.norm(current.output)),
         max_iterations=max_iterations,
@@ -278,25 +296,26 @@ class SeparableLeastSquares(BilinearSpec):
         return {**DISCRETE, "c": self.basis_letter()}
 
     def normalisations(self) -> tuple[Normalisation, ...]:
-        return (unit_length(self.delay, self.lags, "b c"),)
+        return (self.beside_constant(unit_length(self.delay, self.lags, "b c")),)
 
     def parameters(self) -> list[str]:
         feedback = [f"a_{i}" for i in range(1, self.feedback + 1)]
         return [*feedback, *self.b_names(), *(f"c_{j}" for j in range(1, len(self.functions()) + 1))]
 
     def names(self) -> list[str]:
-        return [*with_errors(self.parameters()), "loss", "iterations"]
+        return [*with_errors(self.parameters()), "loss", "iterations", *self.constant_names()]
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         phi, y, parts = self.data(record)
         p, n = self.feedback, self.lags
-        Regression.of(phi, n, delay=self.delay)
-        found, iterations = separable_least_squares(phi, y, n, p, parts=parts)
+        Regression.of(phi, n, delay=self.delay, constant=self.constant)
+        found, iterations = separable_least_squares(phi, y, n, p, parts=parts, constant=self.constant)
         parameters = found.f, found.b, found.a
+        constant = [] if found.constant is None else [found.constant]
         estimate = Estimate(
             nonlinearity=self.nonlinearity(found.a),
             linear=TransferFunction(b=self.linear(found.b).b, a=tuple(found.f.tolist())),
-            values=self.named(*parameters, self._standard_errors(found), found.loss, iterations),
+            values=self.named(*parameters, self._standard_errors(found), found.loss, iterations, *constant),
         )
         return self.responding(estimate, record.dt)
 

@@ -104,14 +104,16 @@ def estimate_noise(
     -----
     Wang, Zhang, Ljung 2009, section 3.3. The residuals are those of the unconstrained Theta.
     """
-    weighted = regression
+    weighted, constant = regression, regression.level is not None
+    coefficients = regression.phi.shape[1] + constant
     for _ in range(noise.iterations):
         residuals = regression.residuals(y, weighted.theta(y))
         if np.linalg.norm(residuals) <= ROUNDING * np.linalg.norm(y):
             # Rounding has no model that another processor would find again.
             residuals = np.zeros_like(residuals)
-        model = noise.model(residuals, regression.phi.shape[1], parts)
-        weighted = Regression.of(regression.phi, regression.n, partial(model.whiten, parts=parts))
+        model = noise.model(residuals, coefficients, parts)
+        root = partial(model.whiten, parts=parts)
+        weighted = Regression.of(regression.phi, regression.n, root, constant=constant)
     return weighted, model
 
 
@@ -156,7 +158,8 @@ class Weighted:
     """A weighting applied to data.
 
     ``regression`` is weighted for the first stage, ``white`` by the inverse of the noise covariance that
-    the standard errors assume; ``order`` is that of a noise model, one number if it was estimated.
+    the standard errors and the output's constant assume; ``order`` is that of a noise model, one number if it
+    was estimated.
     """
 
     regression: Regression
@@ -197,7 +200,8 @@ class WeightedSpec(LaggedSpec):
 
         ``parts`` say where the rows of each experiment stand, one by default.
         """
-        plain = Regression.of(phi, self.lags, delay=self.delay)
+        constant = self.constant
+        plain = Regression.of(phi, self.lags, delay=self.delay, constant=constant)
         if self.weight == "identity":
             return Weighted(plain, plain)
         if self.weight == "inverse_gram":
@@ -205,7 +209,7 @@ class WeightedSpec(LaggedSpec):
         if isinstance(self.weight, KnownAr | InverseGram):
             noise = self.weight.of if isinstance(self.weight, InverseGram) else self.weight
             known = ArModel(np.array(noise.a))
-            white = Regression.of(phi, self.lags, partial(known.whiten, parts=parts))
+            white = Regression.of(phi, self.lags, partial(known.whiten, parts=parts), constant=constant)
             if isinstance(self.weight, KnownAr):
                 return Weighted(white, white)
             return Weighted(Regression.of(phi, self.lags, inverse_gram(white)), white)
@@ -223,7 +227,7 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
     holds = ("nonlinearity", "linear", "response")
 
     def names(self) -> list[str]:
-        return [*with_errors(self.parameters()), "loss", *self.noise_names()]
+        return [*with_errors(self.parameters()), "loss", *self.noise_names(), *self.constant_names()]
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         [found] = self.fit_many([record], None if rng is None else [rng])
@@ -280,12 +284,15 @@ class WeightedBilinearSpec(WeightedSpec, BilinearSpec):
         least = loss(weighted.regression, y, b, a, weighted.regression.root)
         names, order = self.names(), tuple(map(float, weighted.order))
         rows = np.concatenate([b, a, *errors, least[:, None]], axis=1).tolist()
-        each = zip(b, a, rows, others or [()] * len(y), details or [{}] * len(y), strict=True)
+        constants: Sequence[tuple[float, ...]] = [()] * len(y)
+        if self.constant:
+            constants = [(constant,) for constant in weighted.white.constants(y, b, a).tolist()]
+        each = zip(b, a, rows, constants, others or [()] * len(y), details or [{}] * len(y), strict=True)
         found = []
-        for of_b, of_a, row, of_trial, detail in each:
+        for of_b, of_a, row, constant, of_trial, detail in each:
             nonlinearity, linear = self.nonlinearity(of_a), self.linear(of_b)
-            values = dict(zip(names, (*row, *order, *of_trial), strict=True))
-            response = self.response(nonlinearity, linear, dt)
+            values = dict(zip(names, (*row, *order, *constant, *of_trial), strict=True))
+            response = self.response(nonlinearity, linear, dt, *constant)
             found.append(
                 Estimate(nonlinearity, linear=linear, response=response, values=values, details=detail)
             )

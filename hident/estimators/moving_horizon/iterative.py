@@ -25,7 +25,7 @@ from hident.estimators.moving_horizon.transform.linear_transform import LinearFi
 from hident.estimators.moving_horizon.transform.time_weighted import Horizons
 from hident.linear_blocks import ContinuousTransferFunction
 from hident.numerics.parts import Parts, whole
-from hident.records import Record, Response
+from hident.records import Record
 
 
 def parameter_names(n: int, lowest: int = 0) -> list[str]:
@@ -274,11 +274,6 @@ class IterativeSpec(MovingHorizonSpec):
 def known(constant: float | None) -> list[float]:
     """The constant's value, if it was estimated."""
     return [] if constant is None else [constant]
-
-
-def offset(response: Response, constant: float | None) -> Response:
-    """The response with a constant added to it, if there is one."""
-    return response if constant is None else lambda u, dt: response(u, dt) + constant
 
 
 def structure_of(block: ContinuousTransferFunction) -> tuple[int, int, float]:

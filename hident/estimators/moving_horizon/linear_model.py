@@ -9,10 +9,10 @@ import numpy as np
 from pydantic import model_validator
 
 from hident.config.spec import component
+from hident.estimators.base import offset
 from hident.estimators.moving_horizon.iterative import (
     MovingHorizonSpec,
     known,
-    offset,
     regression_names,
     regression_values,
     structure_of,
@@ -65,7 +65,8 @@ class LinearModel(MovingHorizonSpec):
             self.block.check(parts[-1].stop, dt, self.start, gain=True, constant=self.constant, parts=parts)
 
     def normalisations(self) -> tuple[Normalisation, ...]:
-        return (known_function("the nonlinearity is u", np.positive),)
+        rule = known_function("the nonlinearity is u", np.positive)
+        return (rule if self.constant else rule.beside(constant=False),)
 
     def names(self) -> list[str]:
         found = ["n", "m", "delay", "settling_time", "horizons"]

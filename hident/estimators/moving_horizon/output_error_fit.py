@@ -10,13 +10,13 @@ import numpy as np
 from pydantic import AfterValidator
 
 from hident.config.spec import Of, component
-from hident.estimators.base import AtOneInterval, EstimatorSpec, with_errors
+from hident.estimators.base import AtOneInterval, EstimatorSpec, offset, with_errors
 from hident.estimators.moving_horizon.hammerstein.iterative_hammerstein import IterativeHammerstein
 from hident.estimators.moving_horizon.hammerstein.static_functions import (
     PolynomialFunction,
     ThreeSegmentFunction,
 )
-from hident.estimators.moving_horizon.iterative import IterativeSpec, offset
+from hident.estimators.moving_horizon.iterative import IterativeSpec
 from hident.estimators.moving_horizon.output_error import Refinement, refine_hammerstein, refine_wiener
 from hident.estimators.moving_horizon.wiener.four_segment import FourSegment
 from hident.estimators.moving_horizon.wiener.iterative_wiener import IterativeWiener, WienerResponse

@@ -355,7 +355,7 @@ class NonparametricSpec(EstimatorSpec):
             return tuple(behind_found(rule, _searched) if search else behind(rule, delay) for rule in rules)
         # The regression on the newest input: gamma_0 times the characteristic, and the mean of all the rest.
         plain = first_coefficient(symbol="gamma")
-        rule = plain if self.known_point else plain.leaving("constant", says=", a constant left in")
+        rule = plain if self.known_point else plain.leaving("constant", says=", a constant left open")
         if self.delay is None:
             return (behind_noticed(rule, _noticed, self.largest_delay),)
         if search:

@@ -6,6 +6,7 @@ h(t)    the switching function: 1 where the argument is negative, else 0
 a_i     feedback of the discrete linear block, i = 1, ..., n
 b_i     its numerator, lags i = delay, ..., delay + m - 1
 x(t)    the internal variable between the blocks
+k       constant of the output, if there is one
 ======  =====================================================================================
 
 Key-term separation: the product of the two blocks' parameters is written out for one term only, the key
@@ -24,9 +25,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from hident.arrays import Array, Characteristic, Index
-from hident.config.spec import Count, Real, component
+from hident.config.spec import Count, Flag, Real, component
 from hident.errors import EstimationError
-from hident.estimators.base import DISCRETE, AtOneInterval, require_finite, require_varying
+from hident.estimators.base import DISCRETE, AtOneInterval, offset, require_finite, require_varying
 from hident.estimators.convergence import History, Unconverged, settle
 from hident.estimators.discrete_response import at_step
 from hident.estimators.normalisation import Normalisation, first_coefficient
@@ -55,12 +56,13 @@ class TwoSegmentPolynomial:
 
 @dataclass(frozen=True)
 class Structure:
-    """Numbers of coefficients a and b, the first lag, and the degree of each polynomial."""
+    """Numbers of coefficients a and b, the first lag, the degree of each polynomial; whether there is k."""
 
     n: int
     m: int
     delay: int
     degree: int
+    constant: bool = False
 
     @property
     def lags(self) -> range:
@@ -71,6 +73,10 @@ class Structure:
     def first(self) -> int:
         """The first sample whose lags are all on record."""
         return max(self.n, self.delay + self.m - 1)
+
+    def ones(self, rows: int) -> Array:
+        """The regressor (rows, 1) of a constant; (rows, 0) without one."""
+        return np.ones((rows, int(self.constant)))
 
 
 @dataclass(frozen=True)
@@ -178,6 +184,9 @@ class VorosSpec(AtOneInterval):
     """The first lag, in steps; a held input before a continuous block with dead time d has d / step + 1."""
     degree: Annotated[Count, Field(ge=1)]
     """Degree of the polynomial in each segment."""
+    constant: Flag = False
+    """Estimate a constant that is added to the output, such as the offset of a sensor or the nonlinearity's
+    own; else it is zero, and one that is there biases all parameters."""
     step: Annotated[Real, Field(gt=0)] | None = None
     """Sampling interval of the discrete block, a multiple of dt (default: dt); the record is decimated."""
     relaxation: Annotated[Real, Field(gt=0, le=1)] = 1.0
@@ -194,7 +203,7 @@ class VorosSpec(AtOneInterval):
         return {**DISCRETE, "f": f"{of} not negative", "g": f"{of} negative"}
 
     def identify(self, u: Array, y: Array, parts: Parts) -> Iterations:
-        """The iterations for a decimated record of these experiments, theta = (a, b, f, g)."""
+        """The iterations for a decimated record of these experiments, theta = (a, b, f, g), and k behind."""
         raise NotImplementedError
 
     def simulate(self, nonlinearity: Characteristic, linear: TransferFunction, u: Array) -> Array:
@@ -202,21 +211,22 @@ class VorosSpec(AtOneInterval):
         raise NotImplementedError
 
     def structure(self) -> Structure:
-        return Structure(self.n, self.m, self.delay, self.degree)
+        return Structure(self.n, self.m, self.delay, self.degree, self.constant)
 
     def rule(self) -> Rule:
         return Rule(self.relaxation, self.tolerance, self.max_iterations)
 
     def fewest_samples(self) -> int:
         # Every parameter but the one of the key term, and one equation more.
-        return self.structure().first + self.n + self.m + 2 * self.degree
+        return self.structure().first + self.n + self.m + 2 * self.degree + self.constant
 
     def parameters(self) -> list[str]:
-        """The names of the parameters a, b, f, g."""
+        """The names of the parameters a, b, f, g, and of k."""
         return [
             *(f"a_{i}" for i in range(1, self.n + 1)),
             *(f"b_{i}" for i in range(self.delay, self.delay + self.m)),
             *(f"{segment}_{j}" for segment in "fg" for j in range(1, self.degree + 1)),
+            *(["constant"] if self.constant else []),
         ]
 
     def free_parameters(self) -> int:
@@ -272,17 +282,19 @@ class VorosSpec(AtOneInterval):
 
     def _estimate(self, found: Iterations, step: float) -> Estimate:
         linear_ones = self.n + self.m
-        a, b, f, g = np.split(found.theta, [self.n, linear_ones, linear_ones + self.degree], axis=1)
+        sizes = [self.n, self.m, self.degree, self.degree]
+        a, b, f, g, constant = np.split(found.theta, np.cumsum(sizes), axis=1)
         b = np.pad(b, ((0, 0), (self.delay, 0)))
         nonlinearity = TwoSegmentPolynomial(tuple(f[-1].tolist()), tuple(g[-1].tolist()))
         linear = TransferFunction(b=tuple(b[-1].tolist()), a=tuple(a[-1].tolist()))
-        segments = zip(self.parameters()[linear_ones:], np.hstack([f, g]).T, strict=True)
+        others = zip(self.parameters()[linear_ones:], np.hstack([f, g, constant]).T, strict=True)
+        response = at_step(lambda u: self.simulate(nonlinearity, linear, u), step)
         return Estimate(
             nonlinearity=nonlinearity,
             linear=linear,
-            response=at_step(lambda u: self.simulate(nonlinearity, linear, u), step),
+            response=offset(response, float(constant[-1, 0]) if self.constant else None),
             values=self.named(found.theta[-1], found.count, found.converged),
-            details={"history": History(a, b, dict(segments), found.converged)},
+            details={"history": History(a, b, dict(others), found.converged)},
         )
 
 
@@ -295,6 +307,8 @@ def voros_hammerstein(
     key: int | None = None,
 ) -> Iterations:
     """Fit y(t) = sum a_i y(t-i) + x(t-key) + sum b_i x(t-i), i not key, to a two-segment polynomial x of u.
+
+    With a constant k, y(t) - k in the place of y(t) everywhere.
 
     Parameters
     ----------
@@ -312,7 +326,8 @@ def voros_hammerstein(
     Returns
     -------
     Iterations
-        With theta = (a_1, ..., a_n, b_delay, ..., f_1, ..., f_r, g_1, ..., g_r), of which b_key is 1.
+        With theta = (a_1, ..., a_n, b_delay, ..., f_1, ..., f_r, g_1, ..., g_r), of which b_key is 1, and k
+        behind if there is one.
 
     Raises
     ------
@@ -330,16 +345,20 @@ def voros_hammerstein(
     key = structure.lags[place]
     others = [lag for lag in structure.lags if lag != key]
     basis = segments(u, structure.degree)
+    ones = structure.ones(len(at))
     known = np.hstack([delayed(y, range(1, n + 1), at), basis[at - key]])
 
-    def update(x: Array) -> tuple[Array, Array]:
-        unknown = delayed(x, others, at)
-        a, c, b = np.split(solve(np.hstack([known, unknown]), y[at]), [n, known.shape[1]])
-        return np.concatenate((a, np.insert(b, place, 1.0), c)), basis @ c
+    def theta(a: Array, b: Array, c: Array, level: Array) -> Array:
+        # The equation holds (1 - a_1 - ... - a_n) k.
+        return np.concatenate((a, np.insert(b, place, 1.0), c, level / (1.0 - np.sum(a))))
 
-    a, c = np.split(solve(known, y[at]), [n])
-    start = np.concatenate((a, np.insert(np.zeros(structure.m - 1), place, 1.0), c))
-    return iterate(update, start, basis @ c, rule)
+    def update(x: Array) -> tuple[Array, Array]:
+        columns = np.hstack([known, delayed(x, others, at), ones])
+        a, c, b, level = np.split(solve(columns, y[at]), [n, known.shape[1], known.shape[1] + len(others)])
+        return theta(a, b, c, level), basis @ c
+
+    a, c, level = np.split(solve(np.hstack([known, ones]), y[at]), [n, known.shape[1]])
+    return iterate(update, theta(a, np.zeros(structure.m - 1), c, level), basis @ c, rule)
 
 
 @component("estimator", "voros_hammerstein", source="Voros 1999, IEEE Trans. Autom. Control 44, 2145")
@@ -377,7 +396,7 @@ class VorosHammerstein(VorosSpec):
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         lag = self.delay if self.key is None else self.key
-        return (first_coefficient(lag, values="b f g", step=self.step),)
+        return (first_coefficient(lag, values="b f g", step=self.step).beside(self.constant),)
 
     def identify(self, u: Array, y: Array, parts: Parts) -> Iterations:
         return voros_hammerstein(u, y, self.structure(), self.rule(), parts, self.key)

@@ -27,6 +27,8 @@ def voros_wiener(
 ) -> Iterations:
     """Fit y(t) = x(t) + sum f_j x(t)^j + sum (g_j - f_j) x(t)^j h(t), x being a linear block's output.
 
+    With a constant k, y(t) - k in the place of y(t).
+
     Parameters
     ----------
     u, y : array, shape (N,)
@@ -41,7 +43,8 @@ def voros_wiener(
     Returns
     -------
     Iterations
-        With theta = (a_1, ..., a_n, b_delay, ..., f_1 = 1, ..., f_r, g_1, ..., g_r).
+        With theta = (a_1, ..., a_n, b_delay, ..., f_1 = 1, ..., f_r, g_1, ..., g_r), and k behind if there
+        is one.
 
     Raises
     ------
@@ -58,6 +61,7 @@ def voros_wiener(
     n, delay, degree = structure.n, structure.delay, structure.degree
     parts = parts or whole(len(u))
     past, at = range(1, n + 1), instants(parts, structure.first)
+    ones = structure.ones(len(at))
     inputs = delayed(u, range(delay, delay + structure.m), at)
 
     def renewed(x: Array, a: Array, b: Array) -> Array:
@@ -68,15 +72,19 @@ def voros_wiener(
     def update(x: Array) -> tuple[Array, Array]:
         # Without the column of f_1, which is in the key term; that of g_1 then carries g_1 - f_1.
         curved = segments(x[at], degree)[:, 1:]
-        columns = np.hstack([delayed(x, past, at), inputs, curved])
-        a, b, f, g = np.split(solve(columns, y[at]), np.cumsum([n, structure.m, degree - 1]))
+        columns = np.hstack([delayed(x, past, at), inputs, curved, ones])
+        a, b, f, g, level = np.split(solve(columns, y[at]), np.cumsum([n, structure.m, degree - 1, degree]))
         g[0] += 1.0
-        return np.concatenate((a, b, [1.0], f, g)), renewed(x, a, b)
+        return np.concatenate((a, b, [1.0], f, g, level)), renewed(x, a, b)
 
-    a, b = np.split(solve(np.hstack([delayed(y, past, at), inputs]), y[at]), [n])
+    a, b, level = np.split(
+        solve(np.hstack([delayed(y, past, at), inputs, ones]), y[at]), np.cumsum([n, structure.m])
+    )
+    # The equation of the linear model holds (1 - a_1 - ... - a_n) k.
+    level = level / (1.0 - np.sum(a))
     straight = np.eye(1, degree)[0]
-    start = np.concatenate((a, b, straight, straight))
-    return iterate(update, start, renewed(y, a, b), rule)
+    start = np.concatenate((a, b, straight, straight, level))
+    return iterate(update, start, renewed(y - np.sum(level) if len(level) else y, a, b), rule)
 
 
 @component("estimator", "voros_wiener", source="Voros 2003, IEEE Trans. Control Syst. Technol. 11, 253")
@@ -100,7 +108,7 @@ class VorosWiener(VorosSpec):
     """
 
     def normalisations(self) -> tuple[Normalisation, ...]:
-        return (unit_slope("f_1 = 1", "b f g", "nonlinearity", "linear"),)
+        return (unit_slope("f_1 = 1", "b f g", "nonlinearity", "linear").beside(self.constant),)
 
     def identify(self, u: Array, y: Array, parts: Parts) -> Iterations:
         return voros_wiener(u, y, self.structure(), self.rule(), parts)

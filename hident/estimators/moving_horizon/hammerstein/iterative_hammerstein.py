@@ -15,7 +15,7 @@ from pydantic import Discriminator, Field
 from hident.arrays import Array
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
-from hident.estimators.base import FUNCTIONS, POWERS
+from hident.estimators.base import FUNCTIONS, POWERS, offset
 from hident.estimators.convergence import settle
 from hident.estimators.moving_horizon.hammerstein.stage import (
     FirstStage,
@@ -24,7 +24,7 @@ from hident.estimators.moving_horizon.hammerstein.stage import (
     first_stage,
 )
 from hident.estimators.moving_horizon.hammerstein.static_functions import ThreeSegmentFunction
-from hident.estimators.moving_horizon.iterative import IterativeSpec, known, offset, padded
+from hident.estimators.moving_horizon.iterative import IterativeSpec, known, padded
 from hident.estimators.moving_horizon.partition import require_inside
 from hident.estimators.moving_horizon.searches import StructureSearch, found_searches
 from hident.estimators.moving_horizon.transform.linear_transform import (
@@ -91,7 +91,7 @@ class IterativeHammerstein(IterativeSpec):
         }
 
     def normalisations(self) -> tuple[Normalisation, ...]:
-        return (unit_static_gain(),)
+        return (unit_static_gain().beside(self.constant),)
 
     def check_record(self, record: Record) -> None:
         super().check_record(record)

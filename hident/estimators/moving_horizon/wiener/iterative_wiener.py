@@ -16,8 +16,9 @@ from pydantic import Discriminator, Field
 from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Real, component
 from hident.errors import EstimationError
+from hident.estimators.base import offset
 from hident.estimators.convergence import settle
-from hident.estimators.moving_horizon.iterative import IterativeSpec, known, offset, padded
+from hident.estimators.moving_horizon.iterative import IterativeSpec, known, padded
 from hident.estimators.moving_horizon.partition import require_inside
 from hident.estimators.moving_horizon.searches import StructureSearch, found_searches
 from hident.estimators.moving_horizon.transform.linear_transform import (
@@ -121,7 +122,7 @@ class IterativeWiener(IterativeSpec):
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         # The values are those of the iteration, which holds the inverse's slope e_1.
-        return (unit_static_gain(values=""), unit_slope("e_1 = 1", "b e"))
+        return (unit_static_gain(values="").beside(self.constant), unit_slope("e_1 = 1", "b e"))
 
     def check_record(self, record: Record) -> None:
         super().check_record(record)

@@ -1,0 +1,160 @@
+"""A constant that a method leaves open is no error of the method: by default the nearest one is taken."""
+
+from functools import partial
+
+import pytest
+
+import hident as hi
+from hident.engine.runner import run
+from hident.reports.scoring import scoring
+from tests.unit import plans
+
+QUADRATIC = hi.Polynomial(coefficients=[0.6, 1, 0.5])
+FIRST = {"n": 2, "horizon": 8}
+POLYNOMIAL = {"kind": "polynomial", "degree": 2}
+KERNEL = {"kernel": "gaussian", "bandwidth": {"h0": 0.3, "alpha": "1/5"}}
+SERIES = {"basis": {"kind": "legendre", "interval": [-2, 2]}, "terms": {"q0": 4, "alpha": "0"}}
+
+
+@pytest.fixture
+def plan_of(tmp_path):
+    return partial(plans.planned, tmp_path)
+
+
+def _continuous():
+    system = hi.Hammerstein(nonlinearity=QUADRATIC, linear=hi.Continuous(a=[1.5, 0.7]))
+    steps = hi.Multistep(switching_time=1, std=1, limits=[-2, 2])
+    return hi.simulate(system, steps, 1000, dt=0.1)
+
+
+def _hammerstein(**changes):
+    # Of a constant before the block it sees the settled response only.
+    return hi.IterativeHammerstein(nonlinearity=POLYNOMIAL, first=FIRST, start=15.0, **changes)
+
+
+def _errors(estimator, record, interval):
+    given = {"interval": interval, "points": 512}
+    return hi.score(
+        hi.fit(estimator, record),
+        record,
+        estimator,
+        mise=hi.IntegratedSquaredError(**given),
+        percent=hi.NonlinearityPercentError(**given),
+        absolute=hi.IntegratedSquaredError(**given, up_to=[]),
+    )
+
+
+@pytest.mark.parametrize(
+    "estimator", [_hammerstein(constant=True), hi.OutputError(start=_hammerstein(constant=True))]
+)
+def test_the_constant_beside_a_continuous_hammerstein_model_is_taken_off(estimator):
+    scores = _errors(estimator, _continuous(), [-1.5, 1.5])
+    assert scores["mise"] < 0.01
+    assert scores["percent"] < 5.0
+    # As it stands, all but nothing is the constant: 3 times 0.6 squared.
+    assert scores["absolute"] == pytest.approx(3 * 0.36, rel=0.1)
+
+
+def test_the_constant_beside_a_continuous_wiener_model_is_taken_off():
+    system = hi.Wiener(
+        nonlinearity=hi.Polynomial(coefficients=[0.6, 1, 0.2]), linear=hi.Continuous(a=[1.5, 0.7])
+    )
+    steps = hi.Multistep(switching_time=1, std=0.7, limits=[-1, 1])
+    record = hi.simulate(system, steps, 1000, dt=0.1)
+    scores = _errors(
+        hi.IterativeWiener(nonlinearity=POLYNOMIAL, first=FIRST, constant=True), record, [-0.8, 0.8]
+    )
+    assert scores["mise"] < 0.01
+    assert scores["absolute"] == pytest.approx(1.6 * 0.36, rel=0.1)
+
+
+@pytest.mark.parametrize("estimator", [partial(hi.Kernel, **KERNEL), partial(hi.Orthogonal, **SERIES)])
+def test_the_mean_of_all_that_is_past_is_taken_off_a_regression(estimator):
+    system = hi.Hammerstein(nonlinearity=QUADRATIC, linear=hi.Ar(a=[0.5]))
+    record = hi.simulate(system, hi.Iid(distribution="uniform", low=-2, high=2), 20_000)
+    scores = _errors(estimator(), record, [-1.5, 1.5])
+    assert scores["mise"] < 0.02
+    at_samples = hi.IntegratedSquaredError(interval=[-1.5, 1.5], at="samples")
+    left_out = hi.IntegratedSquaredError(interval=[-1.5, 1.5], at="left_out_samples")
+    found = hi.fit(estimator(), record)
+    assert max(hi.score(found, record, estimator(), own=at_samples, out=left_out).values()) < 0.02
+    # The mean of w is 0.6 + 2/3, and as much of it again is in the past.
+    assert scores["absolute"] > 3.0
+    # Where the block is undone, or a point is known, nothing is open.
+    for closed in (
+        {"known_point": {"u": 0, "value": 0.6}},
+        {"prefilter": hi.KnownDynamics(a=[0.5])},
+    ):
+        scores = _errors(estimator(**closed), record, [-1.5, 1.5])
+        assert scores["mise"] == scores["absolute"] < 0.02
+
+
+CONFIGURATION = """\
+version: 1
+title: Methods that leave a constant open beside one that does not
+trials: 6
+samples: 300
+system:
+  kind: hammerstein
+  nonlinearity: {kind: polynomial, coefficients: [0.6, 1, 0.5]}
+  linear: {kind: ar, a: [0.5]}
+excitation: {kind: iid, distribution: uniform, low: -2, high: 2}
+estimators:
+  plain: &kernel {kind: kernel, kernel: gaussian, bandwidth: {h0: 0.5, alpha: 1/5}}
+  undone: {<<: *kernel, prefilter: {kind: known_dynamics, a: [0.5]}}
+metrics:
+  m: {kind: mise, interval: [-1.5, 1.5]}
+"""
+
+
+def test_a_table_says_which_methods_are_scored_up_to_a_constant(plan_of):
+    plan = plan_of(CONFIGURATION)
+    assert list(scoring(plan)) == [
+        "Absolute values are compared in m; the free factor between the blocks: gamma_0 = 1, a constant left "
+        "open (plain); b_0 = 1 (undone).",
+        "Metric m: up to a constant, which the method leaves open (plain).",
+    ]
+    scores = {series.unit.name: series.value("mean") for series in run(plan).series}
+    written = plan_of(CONFIGURATION, "metrics.m.up_to=[]")
+    absolute = {series.unit.name: series.value("mean") for series in run(written).series}
+    assert scores["undone"] == absolute["undone"]
+    assert scores["plain"] < 0.5
+    assert absolute["plain"] > 3.0
+    assert list(scoring(written)) == ["Metric m: as written."]
+
+
+THROUGH_ZERO = {
+    "two-stage": "{kind: two_stage, lags: 8, degree: 2, delay: 0}",
+    "separable": "{kind: separable_least_squares, lags: 1, degree: 2, feedback: 1, delay: 0}",
+    "Voros": "{kind: voros_hammerstein, n: 1, m: 1, degree: 2, delay: 0}",
+}
+NOTE = "takes it to be 0 there, which biases the estimates: 'constant: true' estimates a constant."
+
+
+def _beside(estimators, metric="{kind: mise, interval: [-1.5, 1.5]}"):
+    head = CONFIGURATION.split("estimators:", maxsplit=1)[0]
+    named = "".join(f"  {name}: {one}\n" for name, one in estimators.items())
+    return f"{head}estimators:\n{named}metrics:\n  m: {metric}\n"
+
+
+def test_a_table_says_where_a_true_nonlinearity_has_a_constant_that_a_method_does_not(plan_of):
+    said = [line for line in scoring(plan_of(_beside(THROUGH_ZERO))) if "at zero" in line]
+    assert said == [
+        "The system's nonlinearity is 0.6 at zero, and two-stage, separable, Voros "
+        + NOTE.replace("takes", "take")
+    ]
+    text = _beside({"e": THROUGH_ZERO["two-stage"]})
+    assert f"The system's nonlinearity is 0.6 at zero, and e {NOTE}" in list(scoring(plan_of(text)))
+    levels = ", ".join(f"{c}: {{system.nonlinearity.coefficients: [{c}, 1]}}" for c in (0.1, 0, -2))
+    axis = f"cases: {{level: {{{levels}}}}}\n"
+    said = [line for line in scoring(plan_of(text + axis)) if "at zero" in line]
+    assert said == [f"The system's nonlinearity is 0.1, -2 at zero, and e {NOTE}"]
+    # Nothing is said where a constant is estimated, the basis may hold one, or there is none.
+    for one in (
+        "{kind: two_stage, lags: 8, degree: 2, delay: 0, constant: true}",
+        "{kind: two_stage, lags: 8, basis: [identity, {kind: expression, expression: cos(u)}], delay: 0}",
+        "{kind: kernel, kernel: gaussian, bandwidth: rule_of_thumb}",
+    ):
+        assert not [line for line in scoring(plan_of(_beside({"e": one}))) if "at zero" in line]
+    through = text.replace("[0.6, 1, 0.5]", "[0, 1, 0.5]")
+    assert not [line for line in scoring(plan_of(through)) if "at zero" in line]
