@@ -52,6 +52,22 @@ def is_as_declared(metric: MetricSpec) -> bool:
     return bool(metric.up_to) and "gain" not in metric.up_to
 
 
+def keeps_sign(metric: MetricSpec) -> bool:
+    """Whether the metric chooses a factor and not its sign, which then is that of the estimator's rule."""
+    up_to = metric.up_to if isinstance(metric, Comparing) else None
+    return up_to is not None and "gain" in up_to and "sign" not in up_to
+
+
+def kept(metric: MetricSpec, estimator: EstimatorSpec) -> Iterator[tuple[Normalisation, list[str]]]:
+    """The rules, or only their signs, that the truth keeps where the metric compares, with the parts."""
+    for rule, parts in governed(metric, estimator):
+        if is_as_declared(metric):
+            yield rule, parts
+        elif keeps_sign(metric):
+            # Of a truth with the other sign the nearest positive factor of any estimate would be 0.
+            yield rule.of_signs(), parts
+
+
 def completed(metric: MetricSpec, estimator: EstimatorSpec, dt: float | None) -> MetricSpec:
     """The metric as it scores the estimator's estimates from data at sampling interval ``dt``."""
     left: set[Freedom] = set()
@@ -163,7 +179,7 @@ def _why_others(metric: MetricSpec, name: str, estimator: EstimatorSpec, truth: 
 
 def depends_on_estimate(metric: MetricSpec, estimator: EstimatorSpec) -> bool:
     """Whether the form in which the metric compares depends on what an estimate has found."""
-    return is_as_declared(metric) and any(rule.found for rule, _ in governed(metric, estimator))
+    return any(rule.found for rule, _ in kept(metric, estimator))
 
 
 def truth_for(
@@ -185,20 +201,7 @@ def truth_for(
     """
     if why := _why_others(metric, "estimator", estimator, truth):
         raise ValueError(why)
-    rules = [rule.of(estimate) for rule, _ in governed(metric, estimator)]
-    if is_as_declared(metric):
-        return brought(truth, rules, dt)
-    if not _keeps_sign(metric):
-        return truth
-    # Of a truth with the other sign the nearest positive factor of any estimate would be 0.
-    signs = [rule.of_signs() for rule in rules]
-    return brought(truth, [rule for rule in signs if _can_be_kept(rule, truth, dt)], dt)
-
-
-def _keeps_sign(metric: MetricSpec) -> bool:
-    """Whether the metric chooses a factor and not its sign, which then is that of the estimator's rule."""
-    up_to = metric.up_to if isinstance(metric, Comparing) else None
-    return up_to is not None and "gain" in up_to and "sign" not in up_to
+    return brought(truth, [rule.of(estimate) for rule, _ in kept(metric, estimator)], dt)
 
 
 def form_of(
@@ -229,9 +232,8 @@ def _can_be_kept(rule: Normalisation, truth: Truth, dt: float | None) -> bool:
 def moved(metric: MetricSpec, estimator: EstimatorSpec, system: SystemSpec, dt: float | None) -> Factors:
     """What the system's blocks are divided by to keep the rules on which a score depends; empty if none."""
     factors: dict[str, float] = {}
-    if is_as_declared(metric):
-        for rule, _ in governed(metric, estimator):
-            factors |= rule.off(system.truth(), dt)
+    for rule, _ in kept(metric, estimator):
+        factors |= rule.off(system.truth(), dt)
     return factors
 
 
@@ -242,9 +244,7 @@ def incomparable(
     if why := _why_others(metric, name, estimator, system.truth()):
         yield why
         return
-    if not is_as_declared(metric):
-        return
-    rules = list(governed(metric, estimator))
+    rules = list(kept(metric, estimator))
     for tried in ([one] for one in rules):
         yield from _unkept(tried, metric, name, estimator, system, dt)
     if all(_can_be_kept(rule, system.truth(), dt) for rule, _ in rules):
@@ -265,8 +265,11 @@ def _unkept(
     except ValueError as error:
         named = one_of(dict.fromkeys(part.removeprefix("value ") for _, parts in rules for part in parts))
         said = " and ".join(f"'{rule.said(system.truth(), dt)}'" for rule, _ in rules)
+        compares, of = "absolute values", ""
+        if keeps_sign(metric):
+            compares, of = "up to a positive factor", "sign of the "
         yield (
-            f"compares absolute values ({named}), and no data determine the factor between the blocks: "
+            f"compares {compares} ({named}), and no data determine the {of}factor between the blocks: "
             f"estimator '{name}' ({estimator.kind}) fixes it by the rule {said}; "
             f"{_either([str(error), *_instead(metric, rules[0][0], estimator, system)])}"
         )
@@ -283,7 +286,8 @@ def _instead(
     ]
     score = [f"score what does not depend on it ({one_of(metrics)})"] if metrics else []
     if isinstance(metric, Comparing):
-        free = [name for name in metric.choices if name in rule.free]
+        asked = {*(metric.up_to or ()), "sign"} if keeps_sign(metric) else rule.free
+        free = [name for name in metric.choices if name in asked]
         up_to = f"up_to: [{one_of(free)}]"
         score.append(
             f"choose it for the least error by '{up_to}' under it"

@@ -90,12 +90,13 @@ class Normalisation:
 
     def of_signs(self) -> Normalisation:
         """The rule for the signs of the factors alone."""
+        found = self.found
 
         def signs(truth: Truth, dt: float | None) -> Factors | None:
-            found = self.factors(truth, dt)
-            return found and {place: math.copysign(1.0, factor) for place, factor in found.items()}
+            factors = self.factors(truth, dt)
+            return factors and {place: math.copysign(1.0, factor) for place, factor in factors.items()}
 
-        return replace(self, factors=signs)
+        return replace(self, factors=signs, found=found and (lambda estimate: found(estimate).of_signs()))
 
     def off(self, truth: Truth, dt: float | None) -> Factors:
         """What the blocks must be divided by; empty where the system keeps the rule, or does not say.

@@ -10,6 +10,7 @@ from hident.engine.comparable import (
     depends_on_estimate,
     governed,
     is_as_declared,
+    keeps_sign,
     level_at_zero,
     moved,
     quantity_of,
@@ -32,13 +33,15 @@ _MOST_FACTORS = 4
 def scoring(plan: Plan) -> Iterator[str]:
     """Up to what values are compared, in which form, and what each metric says of itself: sentences."""
     rules: dict[str, dict[str, list[str]]] = {}
+    signs: dict[str, dict[str, list[str]]] = {}
     said: dict[str, list[str]] = {}
     apart: dict[tuple[str, str], list[str]] = {}
     factors: dict[str, dict[str, list[str]]] = {}
     for unit in plan.units:
         for name, metric in unit.metrics.items():
+            of = signs if keeps_sign(metric) else rules
             for rule in _rules(unit, name):
-                _add(rules.setdefault(name, {}).setdefault(rule, []), unit.name)
+                _add(of.setdefault(name, {}).setdefault(rule, []), unit.name)
             at = " at the system's own delay" if depends_on_estimate(metric, unit.estimator) else ""
             for place, factor in moved(metric, unit.estimator, unit.data.system, unit.data.dt).items():
                 _add(factors.setdefault(unit.name, {}).setdefault(place, []), f"{factor:.4g}{at}")
@@ -46,12 +49,12 @@ def scoring(plan: Plan) -> Iterator[str]:
                 _add(apart.setdefault((name, words), []), unit.name)
             if words := metric.says(unit.data.dt):
                 _add(said.setdefault(name, []), words)
-    groups: dict[str, list[str]] = {}
-    for name, of_metric in rules.items():
-        groups.setdefault(_in_words(of_metric), []).append(name)
-    for words, metrics in groups.items():
+    for words, metrics in _alike(rules):
         named = one_of(metrics)
         yield f"Absolute values are compared in {named}; the free factor between the blocks: {words}."
+    for words, metrics in _alike(signs):
+        named = one_of(metrics)
+        yield f"A positive factor is chosen in {named}, and has the sign of the method's rule: {words}."
     if factors:
         yield f"The truth is brought to that form: {'; '.join(_divided(factors))}."
     for (name, words), estimators in apart.items():
@@ -139,7 +142,7 @@ def _add(names: list[str], name: str) -> None:
 def _rules(unit: Unit, name: str) -> Iterator[str]:
     """The rules on which a score depends, in words."""
     metric, estimator = unit.metrics[name], unit.estimator
-    if not is_as_declared(metric):
+    if not is_as_declared(metric) and not keeps_sign(metric):
         return
     if estimator.normalisations() is None:
         # Of a whole response no factor is free.
@@ -156,6 +159,14 @@ def _taken_off(metric: MetricSpec, unit: Unit) -> str:
         return ""
     complete = completed(metric, unit.estimator, unit.data.dt)
     return in_words(complete.up_to or ()) if isinstance(complete, Comparing) else ""
+
+
+def _alike(rules: Mapping[str, dict[str, list[str]]]) -> Iterator[tuple[str, list[str]]]:
+    """The rules of each metric in words, with all metrics that have these."""
+    groups: dict[str, list[str]] = {}
+    for name, of_metric in rules.items():
+        groups.setdefault(_in_words(of_metric), []).append(name)
+    yield from groups.items()
 
 
 def _divided(factors: dict[str, dict[str, list[str]]]) -> Iterator[str]:

@@ -122,7 +122,7 @@ def test_what_no_factor_brings_to_the_rule_is_refused_with_the_remedies(refusals
         "for the least error by 'up_to: [gain, sign, constant]' under it, or limit the metric to other "
         "estimators by 'estimators:' under it"
     )
-    for chosen in ("[gain]", "[]", "[gain, constant]"):
+    for chosen in ("[gain, sign]", "[]", "[gain, sign, constant]"):
         assert refusals(AT_ONCE, f"metrics.nonlinearity.up_to={chosen}") == []
     for chosen in ("[sign]", "[constant]"):
         assert refusals(AT_ONCE, f"metrics.nonlinearity.up_to={chosen}") == [message]
@@ -439,7 +439,7 @@ def test_what_does_not_depend_on_the_factor_is_named_and_allowed(refusals):
     for metric in (
         f"{{kind: validation_error, samples: 100, excitation: {steps}}}",
         "{kind: value, of: [b_0]}",
-        f"{CURVE[:-1]}, up_to: [gain]}}",
+        f"{CURVE[:-1]}, up_to: [gain, sign]}}",
     ):
         assert refusals(continuous(system, estimator, metric)) == []
 
@@ -540,7 +540,6 @@ def test_tables_say_which_rule_a_score_used_and_what_it_leaves_apart(plan_of):
     ]
     for up_to, said in (
         ("[]", "as written"),
-        ("[gain]", "up to a positive factor, whichever fits the truth best"),
         (
             "[constant, sign, gain]",
             "up to a factor of either sign and a constant, whichever fits the truth best",
