@@ -25,7 +25,7 @@ from hident.estimators.base import (
 )
 from hident.estimators.normalisation import Factors, Normalisation, brought
 from hident.metrics.base import Comparing, MetricSpec
-from hident.numerics.freedoms import Freedom
+from hident.numerics.freedoms import FREEDOMS, Freedom
 from hident.records import Estimate, Truth
 from hident.systems.base import SystemSpec
 
@@ -202,6 +202,40 @@ def truth_for(
     if why := _why_others(metric, "estimator", estimator, truth):
         raise ValueError(why)
     return brought(truth, [rule.of(estimate) for rule, _ in kept(metric, estimator)], dt)
+
+
+def in_units(
+    scored: Iterable[tuple[str, MetricSpec, EstimatorSpec]], number: int, truth: Truth, dt: float | None
+) -> list[list[str]]:
+    """The names of estimators of one system, those together whose scores are in one unit.
+
+    They are those of a metric's number in its order, from 0. An estimator that does not say how it fixes the
+    factor between the blocks is in none.
+    """
+    groups: list[tuple[Truth, list[str]]] = []
+    for name, metric, estimator in scored:
+        if estimator.normalisations() is None:
+            continue
+        form = truth_for(metric, estimator, truth, dt)
+        own = next((names for of, names in groups if metric.in_one_unit(of, form)[number]), None)
+        if own is None:
+            groups.append((form, [name]))
+        elif name not in own:
+            own.append(name)
+    return [names for _, names in groups]
+
+
+def to_one_unit(scored: Iterable[tuple[MetricSpec, EstimatorSpec]]) -> str:
+    """What to do about scores that are in several units: what stands under the metric, or else instead."""
+    asked: set[Freedom] = set()
+    for metric, estimator in scored:
+        if not isinstance(metric, Comparing) or "gain" not in metric.choices:
+            return "score what does not depend on the factor instead"
+        complete = completed(metric, estimator, None)
+        assert isinstance(complete, Comparing)
+        asked |= {"gain", "sign", *(complete.up_to or ())}
+    named = one_of(name for name in FREEDOMS if name in asked)
+    return f"'up_to: [{named}]' under the metric brings all to the system's own units"
 
 
 def form_of(

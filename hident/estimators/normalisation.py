@@ -13,17 +13,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hident.arrays import Array, Characteristic
+from hident.arrays import Characteristic
 from hident.config.suggest import one_of
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction, significant
-from hident.numerics.freedoms import Freedom
+from hident.numerics.freedoms import Freedom, multiple
 from hident.records import Estimate, Truth
 
 CLOSE = 1e-4
 """A factor this close to one counts as one: a coefficient that is written with four digits."""
 # Where functions are compared: both signs, small and large.
 _PROBES = np.concatenate((-np.geomspace(1e3, 1e-3, 61), np.geomspace(1e-3, 1e3, 61)))
-_PROPORTIONAL = 1e-9
 # Steps at zero for difference quotients, of which the first that suits is taken: the first of all gives the
 # slope to 1e-5 for a curvature of one. Smaller ones are for larger slopes, greater ones for those that a
 # constant's rounding hides.
@@ -350,32 +349,17 @@ def known_function(rule: str, known: Characteristic, values: str = "b") -> Norma
         if truth.nonlinearity is None:
             return None
         with np.errstate(all="ignore"):
-            ratio = _ratio(truth.nonlinearity(_PROBES), known(_PROBES))
+            ratio = multiple(truth.nonlinearity(_PROBES), known(_PROBES))
             # Of a Wiener system it is the argument that takes a factor.
             if ratio is not None and abs(ratio - 1.0) > CLOSE and truth.rescaled is not None:
                 moved = truth.rescaled({"nonlinearity": ratio}).nonlinearity
-                one = None if moved is None else _ratio(moved(_PROBES), known(_PROBES))
+                one = None if moved is None else multiple(moved(_PROBES), known(_PROBES))
                 ratio = ratio if one is not None and abs(one - 1.0) <= CLOSE else None
         if ratio is None:
             raise ValueError("the system's nonlinearity is not a multiple of it")
         return {"nonlinearity": ratio}
 
     return Normalisation(rule, _parts(values, *_BOTH), factors)
-
-
-def _ratio(one: Array, other: Array) -> float | None:
-    """The number by which ``other`` (K,) must be multiplied to give ``one`` (K,); None if there is none."""
-    both = np.isfinite(one) & np.isfinite(other)
-    one, other = one[both], other[both]
-    if np.array_equal(one, other):
-        return 1.0
-    used = (one != 0.0) | (other != 0.0)
-    with np.errstate(all="ignore"):
-        ratios = one[used] / other[used]
-    if not np.all(np.isfinite(ratios)) or not np.all(ratios):
-        return None
-    ratio = float(np.median(ratios))
-    return ratio if np.all(np.abs(ratios - ratio) <= _PROPORTIONAL * abs(ratio)) else None
 
 
 def _discrete(truth: Truth, dt: float | None) -> TransferFunction | None:

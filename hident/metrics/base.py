@@ -20,6 +20,10 @@ Best = Literal["lowest", "highest", "zero"]
 """Which values are good: low ones, high ones, or those near zero, whatever their sign."""
 
 
+ONE_UNIT = 1e-3
+"""Forms whose factors differ by less give scores in one unit: rules are kept to four digits."""
+
+
 @dataclass(frozen=True)
 class Scored:
     """What a metric is to score: the data of a case, and what an estimator makes of them.
@@ -83,6 +87,13 @@ class MetricSpec(Component):
     def says(self, dt: float | None) -> str:
         """What a table says of how it scores at sampling interval ``dt``; nothing by default."""
         return ""
+
+    def in_one_unit(self, one: Truth, other: Truth) -> tuple[bool, ...]:
+        """For each of its numbers, whether scores against two forms of one system's truth are in one unit.
+
+        By default all are. One that has the unit of a part that the forms scale says where they do.
+        """
+        return (True,) * len(self.labels(""))
 
     def check(self, scored: Scored) -> None:
         """Raise ValueError if it cannot score this, though every part that it needs is there."""

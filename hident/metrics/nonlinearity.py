@@ -11,11 +11,12 @@ from pydantic import Field
 from hident.arrays import Array, Characteristic
 from hident.config.spec import Count, Interval, NonEmpty, Real, component
 from hident.errors import TrialFailed
-from hident.metrics.base import Best, Comparing, MetricSpec, Scored
-from hident.numerics.freedoms import Freedom, nearest, nearest_argument
+from hident.metrics.base import ONE_UNIT, Best, Comparing, MetricSpec, Scored
+from hident.numerics.freedoms import Freedom, multiple, nearest, nearest_argument
 from hident.records import Estimate, Record, Truth, needed
 
 _NODES = 8
+_PROBES = 65
 _PARTS = frozenset({"nonlinearity"})
 
 
@@ -71,6 +72,16 @@ class _OnInterval(Comparing):
     def needs_of_estimate(self) -> frozenset[str]:
         return _PARTS
 
+    def in_one_unit(self, one: Truth, other: Truth) -> tuple[bool, ...]:
+        # A relative error is the same of a multiple; a factor of the argument makes none.
+        return (self._scaled(one, other) is not None,)
+
+    def _scaled(self, one: Truth, other: Truth) -> float | None:
+        """The factor between the nonlinearities of two forms on the interval; None if there is none."""
+        u = np.linspace(*self.interval, _PROBES)
+        with np.errstate(all="ignore"):
+            return multiple(needed(one.nonlinearity)(u), needed(other.nonlinearity)(u))
+
     def integrals(self, estimate: Estimate, record: Record) -> tuple[float, float]:
         """The integrals of the squared error and of the squared truth over the interval."""
         truth, breaks = _of(record.truth)
@@ -116,6 +127,10 @@ class IntegratedSquaredError(_OnInterval):
 
     at: Literal["grid", "samples", "left_out_samples"] = "grid"
     """Where the error is taken: on a quadrature grid, at the inputs, or there with each sample left out."""
+
+    def in_one_unit(self, one: Truth, other: Truth) -> tuple[bool, ...]:
+        factor = self._scaled(one, other)
+        return (factor is not None and abs(abs(factor) - 1.0) <= ONE_UNIT,)
 
     def needs_of_estimate(self) -> frozenset[str]:
         return _PARTS | {"left_out"} if self.at == "left_out_samples" else _PARTS
@@ -181,6 +196,9 @@ class ErrorReduction(IntegratedSquaredError):
     """
 
     best: ClassVar[Best | None] = "highest"
+
+    def in_one_unit(self, one: Truth, other: Truth) -> tuple[bool, ...]:
+        return (self._scaled(one, other) is not None,)
 
     def needs_of_estimate(self) -> frozenset[str]:
         return super().needs_of_estimate() | {"unfiltered"}

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from statistics import NormalDist
 from typing import Annotated, Self
 
+import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from hident.config.spec import Real, component
-from hident.metrics.base import Comparing, MetricSpec, Scored
-from hident.records import Estimate, Record, needed
+from hident.metrics.base import ONE_UNIT, Comparing, MetricSpec, Scored
+from hident.numerics.freedoms import multiple
+from hident.records import Estimate, Record, Truth, needed
 
 
 class _OfValues(MetricSpec):
@@ -77,6 +80,10 @@ class Error(_EachValue, _AgainstTruth, Comparing):
     """
 
     best = "zero"
+
+    def in_one_unit(self, one: Truth, other: Truth) -> tuple[bool, ...]:
+        pairs = ((abs(one.values[name]), abs(other.values[name])) for name in self.of)
+        return tuple(math.isclose(*pair, rel_tol=ONE_UNIT) for pair in pairs)
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         return self.errors(estimate, record)
@@ -177,6 +184,11 @@ class PercentError(_AgainstTruth, Comparing):
     """
 
     best = "lowest"
+
+    def in_one_unit(self, one: Truth, other: Truth) -> tuple[bool, ...]:
+        # The sums weigh values by their sizes.
+        ours, theirs = (np.array([truth.values[name] for name in self.of]) for truth in (one, other))
+        return (multiple(np.abs(ours), np.abs(theirs)) is not None,)
 
     def check(self, scored: Scored) -> None:
         values = scored.truth.values

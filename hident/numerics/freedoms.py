@@ -24,6 +24,7 @@ FREEDOMS: tuple[Freedom, ...] = get_args(Freedom)
 _FACTORS = np.geomspace(1e-15, 1e15, 601)
 _REFINED = 3
 _COARSE = 256
+_PROPORTIONAL = 1e-9
 
 
 def factor(
@@ -39,6 +40,29 @@ def factor(
     size = float(np.sum(weights * np.abs(found) ** 2))
     best = product / size if size else 0.0
     return best if "sign" in free else max(best, 0.0)
+
+
+def multiple(one: Array, other: Array) -> float | None:
+    """The number by which ``other`` (K,) must be multiplied to give ``one`` (K,); None if there is none.
+
+    What is not finite in one of them does not count.
+
+    Examples
+    --------
+    >>> multiple(np.array([2.0, 0.0, -6.0]), np.array([1.0, 0.0, -3.0]))
+    2.0
+    """
+    both = np.isfinite(one) & np.isfinite(other)
+    one, other = one[both], other[both]
+    if np.array_equal(one, other):
+        return 1.0
+    used = (one != 0.0) | (other != 0.0)
+    with np.errstate(all="ignore"):
+        ratios = one[used] / other[used]
+    if not np.all(np.isfinite(ratios)) or not np.all(ratios):
+        return None
+    ratio = float(np.median(ratios))
+    return ratio if np.all(np.abs(ratios - ratio) <= _PROPORTIONAL * abs(ratio)) else None
 
 
 def nearest(found: Array, true: Array, weights: Array, free: Collection[Freedom]) -> Array:

@@ -9,11 +9,13 @@ from hident.engine.comparable import (
     completed,
     depends_on_estimate,
     governed,
+    in_units,
     is_as_declared,
     keeps_sign,
     level_at_zero,
     moved,
     quantity_of,
+    to_one_unit,
     unsaid,
 )
 from hident.engine.experiment import Plan, Unit
@@ -37,14 +39,16 @@ def scoring(plan: Plan) -> Iterator[str]:
     said: dict[str, list[str]] = {}
     apart: dict[tuple[str, str], list[str]] = {}
     factors: dict[str, dict[str, list[str]]] = {}
+    turned: dict[str, dict[str, list[str]]] = {}
     for unit in plan.units:
         for name, metric in unit.metrics.items():
             of = signs if keeps_sign(metric) else rules
             for rule in _rules(unit, name):
                 _add(of.setdefault(name, {}).setdefault(rule, []), unit.name)
             at = " at the system's own delay" if depends_on_estimate(metric, unit.estimator) else ""
+            by = turned if keeps_sign(metric) else factors
             for place, factor in moved(metric, unit.estimator, unit.data.system, unit.data.dt).items():
-                _add(factors.setdefault(unit.name, {}).setdefault(place, []), f"{factor:.4g}{at}")
+                _add(by.setdefault(unit.name, {}).setdefault(place, []), f"{factor:.4g}{at}")
             if words := _taken_off(metric, unit):
                 _add(apart.setdefault((name, words), []), unit.name)
             if words := metric.says(unit.data.dt):
@@ -52,17 +56,42 @@ def scoring(plan: Plan) -> Iterator[str]:
     for words, metrics in _alike(rules):
         named = one_of(metrics)
         yield f"Absolute values are compared in {named}; the free factor between the blocks: {words}."
+    if factors:
+        yield f"The truth is brought to that form: {'; '.join(_divided(factors))}."
     for words, metrics in _alike(signs):
         named = one_of(metrics)
         yield f"A positive factor is chosen in {named}, and has the sign of the method's rule: {words}."
-    if factors:
-        yield f"The truth is brought to that form: {'; '.join(_divided(factors))}."
+    if turned:
+        yield f"The truth is turned to that sign: {'; '.join(_divided(turned))}."
     for (name, words), estimators in apart.items():
         yield f"Metric {name}: up to {words}, which the method leaves open ({one_of(estimators)})."
     for name, sentences in said.items():
         yield f"Metric {name}: {'; '.join(sentences)}."
+    yield from _in_several_units(plan)
     yield from _not_held(plan)
     yield from _by_name(plan)
+
+
+def _in_several_units(plan: Plan) -> Iterator[str]:
+    """Which numbers are in several units, as the forms of the truth that they are errors from differ."""
+    cases: dict[tuple[int, str], list[Unit]] = {}
+    for unit in plan.units:
+        for name in unit.metrics:
+            cases.setdefault((unit.data.key, name), []).append(unit)
+    said: dict[tuple[str, str], list[str]] = {}
+    for (_, name), units in cases.items():
+        scored = [(unit.name, unit.metrics[name], unit.estimator) for unit in units]
+        data = units[0].data
+        for number, label in enumerate(units[0].metrics[name].labels(name)):
+            groups = in_units(scored, number, data.system.truth(), data.dt)
+            if len(groups) > 1:
+                words = "; ".join(map(one_of, groups)), to_one_unit(one[1:] for one in scored)
+                _add(said.setdefault(words, []), label)
+    for (each, remedy), labels in said.items():
+        yield (
+            f"Metric {one_of(labels)}: in several units, as each method fixes the factor between the blocks "
+            f"by its own rule, and not to be compared across them ({each}): {remedy}."
+        )
 
 
 def _not_held(plan: Plan) -> Iterator[str]:

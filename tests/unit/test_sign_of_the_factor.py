@@ -57,7 +57,7 @@ def test_a_table_says_whose_sign_it_is_and_where_the_truth_was_turned(plan_of):
     assert list(scoring(plan_of(text("[0, 4, 2]")))) == [sign, positive]
     assert list(scoring(plan_of(text("[0, -4, -2]")))) == [
         sign,
-        "The truth is brought to that form: linear block divided by -1 (e).",
+        "The truth is turned to that sign: linear block divided by -1 (e).",
         positive,
     ]
     (unit,) = plan_of(text("[0, -4, -2]")).units

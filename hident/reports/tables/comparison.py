@@ -13,6 +13,7 @@ from pydantic import Field, field_validator, model_validator
 from hident.config.references import CaseLabels, EstimatorName, MetricLabel
 from hident.config.spec import Count, Real, component
 from hident.config.suggest import one_of
+from hident.engine.comparable import in_units, to_one_unit
 from hident.engine.experiment import Label, Plan, Unit
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict
@@ -138,6 +139,8 @@ class Comparison(TableSpec):
         if not (cases := self.cases(plan)):
             known = self.named(plan)
             yield (named,), f"no case holds two methods to compare (there are: {one_of(known)})"
+        elif apart := next(filter(None, map(self._units_of, cases)), ""):
+            yield ("metric",), f"'{self.metric}' is {apart}"
         elif plan.trials > 1 and any(unit.data.resampled for case in cases for unit in case.units.values()):
             yield (
                 (named,),
@@ -151,6 +154,24 @@ class Comparison(TableSpec):
                 f"all trials{at} are one record, as 'streams' fixes input and noise, and no test tells "
                 "anything from one: let one of them vary, or set 'trials: 1'",
             )
+
+    def _units_of(self, case: Case) -> str:
+        """In which units the methods of a case are scored, and the remedy, if they are several."""
+        found = []
+        for name, unit in case.units.items():
+            metrics = unit.metrics.items()
+            (own,) = (key for key, metric in metrics if self.metric in metric.labels(key))
+            found.append((name, unit.metrics[own], unit.estimator))
+        unit = next(iter(case.units.values()))
+        number = unit.metrics[own].labels(own).index(self.metric)
+        groups = in_units(found, number, unit.data.system.truth(), unit.data.dt)
+        if len(groups) < 2:
+            return ""
+        at = f" at {case.described()}" if case.labels else ""
+        return (
+            f"in several units{at}, as each method fixes the factor between the blocks by its own rule "
+            f"({'; '.join(map(one_of, groups))}): {to_one_unit(one[1:] for one in found)}"
+        )
 
     def best_of(self, plan: Plan) -> Best | None:
         """Which values are good; None if neither the table nor the metric says it."""
