@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from hident.config.references import CaseLabels, Labels, Metric, NumericAxis, Referring, referring
 from hident.config.spec import Component
 from hident.config.yaml12 import Location
+from hident.engine.measurement import Measurement
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict
 from hident.reports.canvas import Canvas, Size, drawn_on
@@ -29,6 +30,7 @@ __all__ = [
     "first_case",
     "misfits",
     "not_numeric",
+    "said_of_trial",
     "unscored",
 ]
 
@@ -125,6 +127,22 @@ def first_case(plan: Plan, estimators: Sequence[str]) -> str:
     shown = next((unit.labels for unit in units if not {*several} - unit.labels.keys()), {})
     at = ", ".join(f"{axis} {shown[axis]}" for axis in several if axis in shown)
     return f"of several cases the first: {at}" if at else ""
+
+
+def said_of_trial(plan: Plan, spec: ReportSpec, trial: int) -> Iterator[str]:
+    """Which trial of which cases a report shows, as far as that stands nowhere else.
+
+    A measured record is no trial.
+    """
+    if trial != 0 or not all(isinstance(unit.data, Measurement) for unit in plan.units):
+        yield f"trial {trial}"
+    shown: dict[str, None] = {}
+    for one in referring(spec):
+        if one.reference.what == "estimator":
+            at = getattr(one.spec, "at", {})
+            for labels in [at] if isinstance(at, Mapping) else at:
+                shown[first_case(plan.at(labels), (one.value,))] = None
+    yield from filter(None, shown)
 
 
 def unscored(plan: Plan, place: Location, estimator: str, metric: str) -> Iterator[Misfit]:

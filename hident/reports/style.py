@@ -175,10 +175,17 @@ def label_edges(grid: Any, x_label: str, y_label: str) -> None:
 
 
 def few_log_ticks(axis: Axis) -> None:
-    """Numbers at 1, 2 and 5 of each decade of a logarithmic axis, and at no more."""
-    from matplotlib.ticker import LogLocator, NullLocator
+    """Numbers at 1, 2 and 5 of each decade of a logarithmic axis; where it holds one of them, at others."""
+    from matplotlib.ticker import AutoLocator, LogLocator, NullLocator
 
-    axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    class Few(LogLocator):
+        # Matplotlib does so too, but not where the one is a power of ten: it counts that twice.
+        def tick_values(self, vmin: float, vmax: float) -> Any:
+            found = super().tick_values(vmin, vmax)
+            inside = [tick for tick in found if min(vmin, vmax) <= tick <= max(vmin, vmax)]
+            return found if len(inside) > 1 else AutoLocator().tick_values(vmin, vmax)
+
+    axis.set_major_locator(Few(subs=(1, 2, 5)))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_locator(NullLocator())
 

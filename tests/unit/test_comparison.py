@@ -437,7 +437,19 @@ def test_paired_differences_show_trials_intervals_and_failures(tmp_path, of):
     assert axes.get_title() == ("one / two" if of == "of: log_ratio" else "one \N{MINUS SIGN} two")
 
 
-@pytest.mark.parametrize(("low", "high"), [(0.16, 1.3), (0.13, 7.5), (0.05, 1.3), (0.012, 1.3), (0.001, 1.3)])
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [
+        (0.999, 1.001),
+        (0.6, 1.02),
+        (1.1, 1.9),
+        (0.16, 1.3),
+        (0.13, 7.5),
+        (0.05, 1.3),
+        (0.012, 1.3),
+        (0.001, 1.3),
+    ],
+)
 @pytest.mark.parametrize("columns", [1, 3])
 def test_ratios_have_two_numbers_at_least_in_each_panel_and_none_that_touch(tmp_path, low, high, columns):
     rest = "figures:\n  f: {kind: paired_differences, table: t, x_label: X, size: column, columns: 2}\n"

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from hident.ledger.verdicts import judge
 from hident.reports.mathematics import typeset
-from hident.reports.style import style, subplots
+from hident.reports.style import few_log_ticks, style, subplots
 from tests.unit.results_maker import PUBLISHED, made
 
 CURVE = """
@@ -136,3 +137,12 @@ def test_the_truth_is_broken_at_its_jumps(tmp_path, draw):
     assert np.isnan(true).sum() == 1
     assert np.isnan(true[1000])
     assert axes.get_ylim() == (-2, 2)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.6, 1.02), (0.98, 1.03), (9.0, 11.0), (2.2, 4.5), (0.1, 30.0)])
+def test_few_numbers_on_a_logarithmic_axis_are_two_at_least(low, high):
+    axes = Figure().add_subplot()
+    axes.set_yscale("log")
+    axes.set_ylim(low, high)
+    few_log_ticks(axes.yaxis)
+    assert np.count_nonzero((axes.get_yticks() >= low) & (axes.get_yticks() <= high)) > 1

@@ -614,6 +614,28 @@ class TestConfiguration:
         assert axes.get_ylabel() == "mean squared prediction error\n(leave-one-out)"
         assert axes.lines[0].get_xdata().tolist() == [0.1, 1.0]
 
+    SEVERAL = CONFIG.replace(
+        "samples: 100\n", "cases: {samples: [100, 50], noise.std: [0.1, 0.2]}\n"
+    ).replace("figures:\n", "  tried: {kind: candidates, title: Tried, estimator: k, trial: 1}\nfigures:\n")
+
+    @pytest.mark.parametrize(
+        ("at", "said"),
+        [
+            ("", "; of several cases the first: samples 100, noise.std 0.1"),
+            ("at: {samples: 50}", "; of several cases the first: noise.std 0.1"),
+            ("at: {noise.std: 0.2, samples: 50}", ""),
+        ],
+    )
+    def test_what_is_of_one_trial_says_of_which_and_of_which_case(self, tmp_path, at, said):
+        text = self.SEVERAL.replace("trial: 1", f"trial: 1, {at}" if at else "trial: 1")
+        results = run(
+            planned(tmp_path, text.replace("label: Sel", f"{at}, label: Sel" if at else "label: Sel"))
+        )
+        figure, table = (getattr(results.plan.experiment, of) for of in ("figures", "tables"))
+        assert figure["search"].says(results) == f"trial 0{said}"
+        # There is neither AIC nor BIC of a kernel estimate.
+        assert table["tried"].built(results, []).notes == (f"Trial 1{said}.",)
+
     def test_a_variable_stands_for_a_value(self, tmp_path):
         text = replaced(
             CONFIG,

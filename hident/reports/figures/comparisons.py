@@ -43,8 +43,8 @@ _AROUND_ROWS = 0.55
 _AROUND = (1.2, 0.7)
 # Inches: a letter, one at the right of a panel, a line of them, and the space between panels.
 _LETTER, _SMALL_LETTER, _LINE, _GAP = 0.062, 0.048, 0.14, 0.12
-# Inches that a panel is wide in any case, and that a number of an abscissa takes.
-_NARROWEST, _NUMBER = 0.85, 0.28
+# Inches that a panel is wide in any case, and that a number of an abscissa takes, also one such as 0.9995.
+_NARROWEST, _NUMBER, _LONG_NUMBER = 0.85, 0.28, 0.6
 # The share of the width that labels of rows may take, and lines of a name over panels beside each other.
 _LABELS, _LINES = 0.4, 2
 # Of the distance of two rows, how far the points of one spread, and by which steps.
@@ -252,12 +252,20 @@ def _failed(pairs: Mapping[tuple[str, str], Sequence[Versus]]) -> int:
 
 
 def _ratio_ticks(axes: Axes, left: float, right: float, width: float) -> None:
-    """Numbers at 1, 2 and 5 of each decade; where there is no room, or several decades, at fewer."""
-    from matplotlib.ticker import LogLocator
+    """Numbers at 1, 2 and 5 of each decade; where there is no room, or several decades, at fewer.
+
+    Where a panel holds one of these, at a few others.
+    """
+    from matplotlib.ticker import LogLocator, MaxNLocator
 
     few_log_ticks(axes.xaxis)
     span = right / left
-    if span > _SEVERAL_DECADES:
+    decades = 10.0 ** np.arange(np.floor(np.log10(left)), np.ceil(np.log10(right)) + 1.0)
+    numbers = np.outer(decades, (1.0, 2.0, 5.0))
+    if np.count_nonzero((left <= numbers) & (numbers <= right)) < 2:
+        few = max(int(width / _LONG_NUMBER), 1)
+        axes.xaxis.set_major_locator(MaxNLocator(few, steps=(1, 2, 2.5, 5, 10), min_n_ticks=2))
+    elif span > _SEVERAL_DECADES:
         axes.xaxis.set_major_locator(LogLocator(numticks=5 if span < _MANY_DECADES else 3))
     elif 3.0 * np.log10(span) * _NUMBER > width:
         decades = np.floor(np.log10(right)) - np.ceil(np.log10(left)) + 1

@@ -14,9 +14,8 @@ from hident.config.spec import Count, Real, Spec
 from hident.config.suggest import one_of
 from hident.config.yaml12 import Location
 from hident.engine.experiment import Plan, Unit
-from hident.engine.measurement import Measurement
 from hident.records import Truth, needed
-from hident.reports.base import FigureSpec, Misfit
+from hident.reports.base import FigureSpec, Misfit, said_of_trial
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -92,9 +91,8 @@ class OneTrialFigure(FigureSpec):
     """Number of the trial."""
 
     def says(self, results: Results) -> str:
-        """The number of the trial; a measured record is none."""
-        measured = all(isinstance(unit.data, Measurement) for unit in results.plan.units)
-        return "" if measured and self.trial == 0 else f"trial {self.trial}"
+        """The number of the trial, and which case is shown where the labels leave several."""
+        return "; ".join(said_of_trial(results.plan, self, self.trial))
 
 
 def true_curve(truth: Truth, x: Array) -> Array:

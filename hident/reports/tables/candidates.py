@@ -16,7 +16,7 @@ from hident.engine.replay import OneTrial
 from hident.engine.results import Results
 from hident.estimators.selection.select import Criterion, Select, Selection
 from hident.ledger.verdicts import Verdict
-from hident.reports.base import Misfit, Table, TableSpec
+from hident.reports.base import Misfit, Table, TableSpec, said_of_trial
 from hident.reports.tables.writing import written
 
 _HEADINGS: dict[Criterion, str] = {
@@ -26,6 +26,7 @@ _HEADINGS: dict[Criterion, str] = {
     "leave_one_out": "RMSE, leave-one-out",
     "fpe": "FPE",
 }
+_INFORMATION = "AIC and BIC count the errors on the whole record as independent; lower is better."
 _NEAR = "within one standard error"
 
 
@@ -62,7 +63,7 @@ class Candidates(TableSpec):
     def build(self, results: Results, verdicts: Sequence[Verdict]) -> Table:
         realised = OneTrial(results.plan, self.trial).of_unit(self._unit(results.plan))
         if realised.found is None:
-            return Table(self.title, ("failed",), ((realised.failure,),))
+            return Table(self.title, ("failed",), ((realised.failure,),), tuple(self._said(results.plan)))
         selection: Selection = realised.detail("selection")
         header = (*selection.over, "parameters", *_columns(selection), "")
         rows = list(self._rows(selection))
@@ -70,10 +71,15 @@ class Candidates(TableSpec):
             f"{', '.join(_settings(selection, i))}: {why}" for i, why in selection.failures.items()
         )
         notes = (
-            "AIC and BIC count the errors on the whole record as independent; lower is better.",
+            *self._said(results.plan),
+            *((_INFORMATION,) if {"AIC", "BIC"} & {*header} else ()),
             *((f"Failed: {failed}.",) if failed else ()),
         )
         return Table(self.title, header, tuple(rows), notes, heads=len(selection.over))
+
+    def _said(self, plan: Plan) -> Iterator[str]:
+        if said := "; ".join(said_of_trial(plan, self, self.trial)):
+            yield f"{said[0].upper()}{said[1:]}."
 
     def _rows(self, selection: Selection) -> Iterator[tuple[str, ...]]:
         criterion = selection.criterion
