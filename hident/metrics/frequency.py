@@ -31,6 +31,7 @@ from hident.signals.excitation import Multisine, Sine
 from hident.systems.continuous_wiener_hammerstein import ACCURACY, respond
 
 _NAME = re.compile(r"(gain_i|phase_i|series_gain)_(\d+)|(gain_o|phase_o|phase_sum)_(\d+)_(\d+)")
+_SINGLE_PHASE = re.compile(r"phase_i_\d+|phase_o_\d+_\d+")
 _RANGE = re.compile(r"(\d+)\.\.(\d+)")
 # Frequencies this close, relative to their size, are one.
 _SAME = 1e-9
@@ -214,8 +215,9 @@ class TrueResponse(_True):
 class ResponseError(_Estimated, _True, Comparing):
     """Estimated minus true gains and phases of the two linear blocks.
 
-    ``up_to: [delay]`` moves the delay from one block to the other that brings the phases nearest to the
-    true ones: no data tell the blocks' delays apart, only their sum, and no phase sum changes.
+    ``up_to: [delay]`` moves the delay from one block to the other that brings all phases of the estimate
+    nearest to the true ones, whichever are named: no data tell the blocks' delays apart, only their sum, and
+    no phase sum changes.
 
     Examples
     --------
@@ -241,11 +243,9 @@ class ResponseError(_Estimated, _True, Comparing):
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         omega = needed(estimate.frequencies)
         true, errors = self.truths(record, omega), []
-        away = [found - at for found, at in zip(self.estimates(estimate), true, strict=True)]
-        turns = [_turns(name, omega) for name in self.of]
-        tau = best_delay(np.array(away), np.array(turns)) if "delay" in (self.up_to or ()) else 0.0
-        for name, off, turn, at in zip(self.of, away, turns, true, strict=True):
-            error = off + tau * turn if tau else off
+        tau = _moved(estimate.values, needed(record.truth), omega) if "delay" in (self.up_to or ()) else 0.0
+        for name, found, at in zip(self.of, self.estimates(estimate), true, strict=True):
+            error = found - at + tau * _turns(name, omega) if tau else found - at
             if _parsed(name)[0].startswith("phase"):
                 error = math.remainder(error, 2.0 * math.pi)
             if self.relative:
@@ -263,6 +263,14 @@ def _turns(name: str, omega: Array) -> float:
     if quantity == "phase_i":
         return float(omega[m - 1])
     return -k * float(omega[m - 1]) if quantity == "phase_o" else 0.0
+
+
+def _moved(values: Mapping[str, float], truth: Truth, omega: Array) -> float:
+    """The delay that moves from Gi to Go and brings all phases among the values nearest to the true ones."""
+    phases = [name for name in values if _SINGLE_PHASE.fullmatch(name)]
+    true = [true_response(name, truth, omega[_parsed(name)[1] - 1]) for name in phases]
+    errors = np.array([values[name] for name in phases]) - np.array(true)
+    return best_delay(errors, np.array([_turns(name, omega) for name in phases]))
 
 
 def best_delay(errors: Array, turns: Array) -> float:

@@ -116,6 +116,36 @@ def misfit(folder, rest):
     return str(caught.value)
 
 
+AWAY = """\
+  away:
+    kind: response_error
+    of: [gain_i_1..2, gain_o_1..2_1, phase_i_1..2, phase_o_1..2_1]
+    estimators: [FGI]
+"""
+
+
+@pytest.mark.parametrize(
+    ("rest", "message"),
+    [
+        (
+            TABLE.replace("truth: truth", "truth: found"),
+            "tables.t.truth: the metric 'found' depends on the estimates: the truth is one of kind",
+        ),
+        (
+            TABLE.replace("metric: found", "metric: away"),
+            "tables.t.metric: the metric 'away' is of the truth, or compares with it: the estimates are",
+        ),
+        (
+            BODE.replace("metric: found", "metric: away"),
+            "figures.f.metric: holds gains and phases, and is of kind response: the errors below are drawn "
+            "from it; 'away' is of kind response_error",
+        ),
+    ],
+)
+def test_errors_do_not_stand_where_estimates_or_the_truth_belong(tmp_path, rest, message):
+    assert message in misfit(tmp_path, AWAY + rest)
+
+
 def test_a_table_puts_truth_print_and_estimate_side_by_side(tmp_path):
     values = {"truth gain_i_1": [0.9701] * 4, "found gain_i_1": [0.96, 0.97, 0.98, 0.99]}
     table = built(results(tmp_path, TABLE + PUBLISHED, values))

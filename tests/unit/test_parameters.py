@@ -131,6 +131,20 @@ def test_the_parameter_figure_shows_estimates_printed_numbers_and_truth(make, dr
     assert truth.get_ydata()[0] == 2.0
 
 
+@pytest.mark.parametrize(
+    ("kind", "line"),
+    [("{kind: error, of: [a_1]}", ("no error", 0.0)), ("{kind: share, of: [a_1], equals: 2}", None)],
+)
+def test_the_line_of_the_parameter_figure_is_of_the_numbers_that_it_shows(make, draw, kind, line):
+    figure = "p: {kind: parameters, metric: other, of: [a_1], estimators: [one, two]}\n"
+    drop = ("p: {kind: parameters, metric: theta, of: [a_1], estimators: [one, two]}\n", figure)
+    axes = draw(
+        make("e", ("  least:", f"  other: {kind[:-1]}, estimators: [one, two]}}\n  least:"), drop), "p"
+    ).axes[0]
+    lines = {one.get_label(): one.get_ydata()[0] for one in axes.lines}
+    assert [(label, lines[label]) for label in ("truth", "no error") if label in lines] == [line] * bool(line)
+
+
 def test_the_gain_figure_shows_both_ratios(make, draw):
     axes = draw(make(), "g").axes[0]
     points = {line.get_label(): line.get_ydata() for line in axes.lines}

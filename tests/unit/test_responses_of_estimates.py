@@ -137,6 +137,15 @@ class TestDelayBetweenBlocks:
         # Least squares leaves what is at right angles to the delay.
         np.testing.assert_allclose(away, 0.4 * (np.eye(4)[0] - turns * turns[0] / (turns @ turns)), atol=1e-9)
 
+    def test_a_phase_has_one_error_whichever_others_are_named(self):
+        estimate, record = self.found(0.3)
+        values = {**estimate.values, "phase_i_1": estimate.values["phase_i_1"] + 0.4}
+        wrong = hi.Estimate(frequencies=estimate.frequencies, values=values)
+        together = hi.score(wrong, record, e=hi.ResponseError(of=self.NAMES, up_to=["delay"]))
+        for name in self.NAMES:
+            alone = hi.score(wrong, record, e=hi.ResponseError(of=[name], up_to=["delay"]))
+            assert alone == pytest.approx({f"e {name}": together[f"e {name}"]}, abs=1e-12)
+
     def test_it_has_no_factor(self):
         with pytest.raises(ConfigError, match=r"can choose no gain \(allowed: delay\)"):
             hi.ResponseError(of=["phase_i_1"], up_to=["gain"])

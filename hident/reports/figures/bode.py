@@ -48,6 +48,9 @@ class Bode(FigureSpec):
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         if "blocks" not in plan.units[0].data.system.provides():
             yield ("kind",), "the system has no true linear blocks in continuous time"
+        if not isinstance(metric := plan.experiment.metrics[self.metric], frequency.Response):
+            said = "and is of kind response: the errors below are drawn from it"
+            yield ("metric",), f"holds gains and phases, {said}; '{self.metric}' is of kind {metric.kind}"
 
     def looks_needed(self, plan: Plan) -> int:
         return len(self.estimators)

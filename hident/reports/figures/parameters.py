@@ -11,9 +11,10 @@ from hident.arrays import Array
 from hident.config.references import EstimatorName, NumericAxis, TableName, ValueName, value_of
 from hident.config.spec import Flag, NonEmpty, component
 from hident.config.suggest import one_of
-from hident.engine.experiment import Plan
+from hident.engine.experiment import Plan, Unit
 from hident.engine.results import Results
 from hident.ledger.verdicts import Verdict, beside
+from hident.metrics.values import Value
 from hident.reports.base import FigureSpec, Misfit, first_case
 from hident.reports.style import (
     LINES,
@@ -36,11 +37,12 @@ if TYPE_CHECKING:
 class ParameterFigure(FigureSpec):
     """One panel for each parameter: mean and standard deviation of every estimator against the truth.
 
-    Of several cases the first is shown, and said: 'at' chooses another, and 'facets' shows all.
+    The line is the truth of values, and zero of signed errors; other numbers have none. Of several cases the
+    first is shown, and said: 'at' chooses another, and 'facets' shows all.
     """
 
     metric: str
-    """Name of the metric of kind value."""
+    """Name of the metric, of kind value or error."""
     of: NonEmpty[ValueName]
     """Names of the values, one panel each."""
     estimators: NonEmpty[EstimatorName]
@@ -66,10 +68,8 @@ class ParameterFigure(FigureSpec):
                     look |= {"markerfacecolor": "none", "alpha": 0.75}
                     axes.errorbar(i + 0.3, *printed, label=f"{estimator}, printed", **look)
             units = (next(results.select(one, f"{self.metric} {name}")).unit for one in self.estimators)
-            # In the form of each: where one of them has another there is no one line.
-            true = {unit.truth().values.get(name) for unit in units}
-            if len(true) == 1 and (level := true.pop()) is not None:
-                axes.axhline(level, label="truth", **TRUE_LEVEL)
+            if (level := self._level(name, list(units))) is not None:
+                axes.axhline(level[1], label=level[0], **TRUE_LEVEL)
             axes.set_title(symbol(name))
             axes.set_xticks([])
             axes.set_xlim(-0.6, len(self.estimators) - 0.1)
@@ -78,6 +78,17 @@ class ParameterFigure(FigureSpec):
             axes.set_ylabel("mean ± standard deviation")
         shared_legend(figure, grid.flat[0].get_legend_handles_labels(), 4)
         return figure
+
+    def _level(self, name: str, units: Sequence[Unit]) -> tuple[str, float] | None:
+        """What the numbers of a panel should be, in words and as a number; None if nothing says it."""
+        metrics = [unit.metrics[self.metric] for unit in units]
+        if all(metric.best == "zero" for metric in metrics):
+            return "no error", 0.0
+        # In the form of each: where one of them has another there is no one line.
+        true = {unit.truth().values.get(name) for unit in units}
+        level = true.pop() if len(true) == 1 else None
+        is_value = all(isinstance(metric, Value) for metric in metrics)
+        return ("truth", level) if is_value and level is not None else None
 
 
 @component("figure", "gain")

@@ -40,6 +40,13 @@ class AgainstTruth(TableSpec):
 
     def misfits(self, plan: Plan) -> Iterator[Misfit]:
         first = next(iter(self.estimators.values()))
+        metrics = plan.experiment.metrics
+        if metrics[self.truth].needs_of_estimate():
+            kinds = "one of kind true_value or true_response"
+            yield ("truth",), f"the metric '{self.truth}' depends on the estimates: the truth is {kinds}"
+        if metrics[self.metric].needs_of_truth():
+            kinds = "the estimates are one of kind value or response"
+            yield ("metric",), f"the metric '{self.metric}' is of the truth, or compares with it: {kinds}"
         for name in self.rows.values():
             yield from unscored(plan, ("truth",), first, f"{self.truth} {name}")
 
