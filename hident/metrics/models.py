@@ -81,6 +81,10 @@ def _parameters(block: TransferFunction) -> tuple[np.ndarray, np.ndarray]:
 class LinearPercentError(MetricSpec):
     """Percent error of the linear block's parameters in discrete time, its gain and delay apart.
 
+    Parameters that one block has and the other has not count as zero there, as in the paper. So it is for
+    estimates of the system's own orders: of an impulse response it says nothing, however good that is, and
+    impulse_response_error does.
+
     Examples
     --------
     >>> import hident as hi
