@@ -209,6 +209,8 @@ def _print_failed(plan: Plan, reader: Reader, units: Sequence[Unit]) -> None:
     if len(rows) == 1:
         keys = {key for unit in units for key in unit.keys(plan.seed, plan.perturbation).values()}
         count = max(reader.counted(key, plan.trials).trials for key in keys)
+        if not count:
+            raise NothingToCompare(f"no trial is stored: hident run {plan.name}")
         print(f"{plan.name}: none of the {count} stored trials failed")
         return
     print_columns(rows[: _MOST_FAILURES + 1])

@@ -178,7 +178,7 @@ def test_nothing_stored(lab: Lab) -> None:
     assert _error(lab, "tiny.yaml", "--worst", "a a_1", code=4) == (
         "no trial with a a_1 is stored: hident run tiny"
     )
-    assert "none of the 0 stored trials failed" in _show(lab, "--failed")
+    assert _error(lab, "tiny.yaml", "--failed", code=4) == "no trial is stored: hident run tiny"
     assert _show(lab, "--trial", "2").count("not stored") == 2
 
 
