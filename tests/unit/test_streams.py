@@ -161,6 +161,19 @@ def test_a_longer_record_begins_with_the_input_and_noise_of_a_shorter_one(excita
     np.testing.assert_allclose(noise_of(long, 2)[:60], noise_of(short, 2), atol=1e-12)
 
 
+def test_outputs_of_another_length_differ_by_a_transient_and_from_rest_by_nothing():
+    def outputs(linear):
+        system = Hammerstein(nonlinearity=Expression(expression="u + u**2"), linear=linear)
+        return [changed(system=system, samples=n).before_noise(1, 2).y[:60] for n in (60, 200)]
+
+    short, long = outputs(Ar(a=(0.5,)))
+    # What is left of the past is halved with each sample.
+    away = short - long
+    assert away[0] != 0.0
+    np.testing.assert_allclose(away[:20], away[0] * 0.5 ** np.arange(20), rtol=1e-6)
+    np.testing.assert_array_equal(*outputs(Ar(a=(0.5,), initial="zero")))
+
+
 def test_another_system_has_the_same_input():
     other = changed(system=Hammerstein(nonlinearity=Expression(expression="u"), linear=Fir(b=(1.0, 0.5))))
     np.testing.assert_array_equal(generate(SHARED, 1, 3).u, generate(other, 1, 3).u)
