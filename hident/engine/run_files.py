@@ -26,7 +26,7 @@ TRIALS = "trials.csv.xz"
 CRASHES = "crashes.txt"
 """What a crashed run leaves."""
 TIMING = "timing.csv"
-"""How long the fits took: of this run on this machine, so that nothing compares, accepts or hashes it."""
+"""How long the fits took: of this run on this machine, so that nothing compares or hashes it."""
 OWN = (RUN, TABLE, PAGE, VERDICTS, TRIALS, CRASHES, TIMING)
 SENSITIVITY = "sensitivity.csv"
 """How many trials a last bit moves; accept writes it beside the files of the run."""
@@ -38,6 +38,7 @@ BENCHMARKS = "bench.md"
 """What `make bench` writes to the folder of the accepted results: of no run."""
 SHOWN = "trial-"
 """How the folders begin, in that of a run, of what `hident show` writes of one trial."""
+_DRAWN = ".data.csv.xz"
 _LONGEST = 100
 # The numbers of Windows' devices may be superscripts.
 _DEVICES = re.compile(r"con|prn|aux|nul|(?:com|lpt)[0-9¹²³]")
@@ -56,6 +57,16 @@ def tex_file(name: str) -> str:
 def figure_file(name: str, kind: Format = DEFAULT_FORMAT) -> str:
     """The file of a figure in a format."""
     return f"{name}.{kind}"
+
+
+def drawn_file(name: str) -> str:
+    """The file of the numbers that a figure draws."""
+    return f"{name}{_DRAWN}"
+
+
+def is_drawn(file: str) -> bool:
+    """Whether a file holds the numbers that a figure draws."""
+    return file.endswith(_DRAWN)
 
 
 def figure_formats(formats: Sequence[Format]) -> tuple[Format, ...]:
@@ -77,16 +88,17 @@ def misnamed(tables: Iterable[str], figures: Iterable[str]) -> Iterator[tuple[st
     writers = {**dict.fromkeys(reversed(OWN), "a run"), SENSITIVITY: "accept"}
     kept = {file.partition(".")[0]: f"{file}, which {writer}" for file, writer in writers.items()}
     taken = dict.fromkeys(OWN, "a file of every run")
-    for section, names, file_of in (("tables", tables, table_file), ("figures", figures, figure_file)):
+    sections = (("tables", tables, [table_file]), ("figures", figures, [figure_file, drawn_file]))
+    for section, names, files_of in sections:
         for name in names:
             folded = name.casefold()
-            file = file_of(folded)
+            files = [file_of(folded) for file_of in files_of]
             if len(name) > _LONGEST:
                 yield section, name, f"a name has at most {_LONGEST} characters, not {len(name)}"
             elif _DEVICES.fullmatch(folded):
                 yield section, name, f"the name '{name}' is that of a device under Windows: take another"
             elif section == "tables" and folded in kept:
                 yield section, name, f"the name '{name}' is kept for {kept[folded]} writes itself"
-            elif file in taken:
+            elif file := next((file for file in files if file in taken), None):
                 yield section, name, f"would be written to the file of {taken[file]}: take another name"
-            taken[file] = f"{section}.{name}"
+            taken |= dict.fromkeys(files, f"{section}.{name}")

@@ -9,7 +9,7 @@ from pathlib import Path, PurePath
 from typing import Literal
 
 from hident.config.suggest import one_of
-from hident.engine.run_files import RUN, SENSITIVITY, TRIALS
+from hident.engine.run_files import RUN, SENSITIVITY, TIMING, TRIALS
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.ledger.compare import compare
 from hident.ledger.sensitivity import Sensitivity
@@ -39,7 +39,8 @@ def accept(
 ) -> Accepted:
     """Make ``results/<config>`` a copy of ``ours``, the folder ``out/<config>`` of a finished run.
 
-    Copied are ``run.json`` and the files that it lists. A kill at any moment leaves the old results, or the
+    Copied are ``run.json``, the files that it lists, and ``timing.csv`` if it is there: no comparison reads
+    it. A kill at any moment leaves the old results, or the
     new ones, or, between two renames, the old ones as ``.<config>.old``, which the next call puts back first.
 
     Beside the copy stands ``sensitivity.csv``, which ``measure`` makes from the values of the trials with so
@@ -122,6 +123,8 @@ def _replace(
             copy = staged / name
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(ours / name, copy)
+        if (ours / TIMING).is_file():
+            shutil.copyfile(ours / TIMING, staged / TIMING)
         if sensitivity is not None:
             RunFolder(staged).add(SENSITIVITY, sensitivity)
         accepted = _changes(staged, target, config)

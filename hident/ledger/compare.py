@@ -8,8 +8,9 @@ relative tolerance.
 
 The cells of table.csv must be the statistics of the trials beside them. The other files are compared by their
 contents (:mod:`hident.ledger.contents`), but those in a format that one side was not asked for; where some
-trials took another branch and may, what these files differ in is listed and not counted. Every file must be
-what was written, by the hashes in its run.json.
+trials took another branch and may, what these files differ in is listed and not counted. The numbers that a
+figure draws are compared between equal arithmetics, if both sides have those of any figure; else its picture
+is. Every file must be what was written, by the hashes in its run.json.
 Hidden files, ``*.tmp``, timing.csv, what `hident show` wrote of a trial, and the provenance in ``run.json``
 do not count.
 """
@@ -33,6 +34,7 @@ from hident.engine.run_files import (
     TIMING,
     TRIALS,
     in_format,
+    is_drawn,
 )
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.ledger.contents import Row, content_differences, decode_table
@@ -206,6 +208,8 @@ class _Pair:
 
     def __init__(self, ours: Path, reference: Path, rtol: float, partial: bool) -> None:
         self._ours, self._reference, self._rtol, self._partial = ours, reference, rtol, partial
+        used = [RunFolder(folder).arithmetic() for folder in (ours, reference)]
+        self._same_arithmetic = None in used or used[0] == used[1]
         self.trials = self._compared_trials()
         self._names, self._apart = self._in_formats_of_both()
 
@@ -270,6 +274,8 @@ class _Pair:
             if name in folder.files() and in_format(name) not in (None, *other.formats())
         }
         names = (mine | theirs) - of_one - {SENSITIVITY}
+        if not (self._same_arithmetic and all(any(map(is_drawn, folder.files())) for _, folder in sides)):
+            names -= {name for files, folder in sides for name in files & {*folder.files()} if is_drawn(name)}
         drawn = {name.rpartition(".")[0] for name in names if in_format(name) not in (None, TEX)}
         figures = {name.rpartition(".")[0] for name in of_one if in_format(name) != TEX}
         return names, sorted(figures - drawn)
@@ -284,8 +290,7 @@ class _Pair:
             return None
         if ours.axes != reference.axes:
             return None
-        used = [RunFolder(folder).arithmetic() for folder in (self._ours, self._reference)]
-        same = None in used or used[0] == used[1]
+        same = self._same_arithmetic
         sensitivity = None if same else (_sensitivity(self._reference) or Sensitivity(reference.axes, {}))
         return TrialComparison(ours, reference, self._rtol, sensitivity)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import lzma
 import math
 import re
 from collections import Counter
@@ -21,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from hident.arrays import Array
-from hident.engine.run_files import in_format
+from hident.engine.run_files import in_format, is_drawn
 from hident.ledger.drawings import Drawing, decode_pdf, decode_svg, drawings_differ
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
@@ -45,7 +46,7 @@ def content_differences(ours: Path, reference: Path, rtol: float) -> Iterator[st
         return
     if data[0] == data[1]:
         return
-    decode, differences = _KINDS.get(ours.suffix, _OTHER)
+    decode, differences = _DRAWN if is_drawn(ours.name) else _KINDS.get(ours.suffix, _OTHER)
     decoded = []
     for content, whose in zip(data, ("", "the reference "), strict=True):
         try:
@@ -173,15 +174,22 @@ def _by_label(rows: Sequence[Row], key: Sequence[str]) -> dict[tuple[object, ...
 def _decode_json(data: bytes) -> dict[str, str]:
     """All leaves by their paths, but the provenance, and of a run the files in formats that it was asked for.
 
-    Those are there, or they are missing.
+    Those are there, or they are missing. Which trials failed, their values say; why they did stands there
+    in words.
     """
     value = json.loads(data)
     if isinstance(value, dict):
         value.pop("provenance", None)
         value.pop("formats", None)
+        value.pop("failures", None)
         if isinstance(files := value.get("files"), list):
-            value["files"] = [name for name in files if not (isinstance(name, str) and in_format(name))]
+            value["files"] = [name for name in files if not (isinstance(name, str) and _is_optional(name))]
     return dict(_leaves(value, ""))
+
+
+def _is_optional(name: str) -> bool:
+    """Whether a run writes the file only if it is asked to, or since some version."""
+    return in_format(name) is not None or is_drawn(name)
 
 
 def _leaves(value: object, path: str) -> Iterator[tuple[str, str]]:
@@ -258,4 +266,5 @@ _KINDS: dict[str, _Kind] = {
     ".pdf": (decode_pdf, _drawings),
     ".svg": (decode_svg, _drawings),
 }
+_DRAWN: _Kind = (lambda data: decode_table(lzma.decompress(data)), _tables)
 _OTHER: _Kind = (bytes, _bytes)

@@ -36,6 +36,7 @@ from hident.engine.run_files import (
     TIMING,
     TRIALS,
     VERDICTS,
+    drawn_file,
     figure_file,
     figure_formats,
     table_file,
@@ -49,12 +50,13 @@ from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import LEVEL, RUNS, Verdict, Word, fitting_runs, frame, judge
 from hident.new_files import replacing
 from hident.numerics.influence import largest_share
+from hident.reports import drawn as drawing
 from hident.reports import latex
 from hident.reports.base import FigureSpec, ReportSpec, Table, TableSpec, misfits
 from hident.reports.mathematics import typeset, whole
 from hident.reports.scoring import scoring
 from hident.reports.style import printed, style
-from hident.reports.tables.writing import failures, written
+from hident.reports.tables.writing import failing, failures, written
 from hident.run_folder import RunFolder, State, phase
 
 _PACKAGES = ("numpy", "scipy", "finufft", "pandas", "matplotlib", "pydantic")
@@ -120,13 +122,14 @@ class Outputs:
             with phase(seconds, "figures"):
                 undrawn = _write_figures(results, verdicts, new.path)
             drawn = [name for name in plan.experiment.figures if name not in undrawn]
-            files += self._figure_files(drawn)
+            files += [*self._figure_files(drawn), *map(drawn_file, drawn)]
             new.seal(
                 {
                     "experiment": {**_described(plan), **_stopped(results)},
                     "files": sorted(files),
                     **({"formats": [*formats]} if formats != (DEFAULT_FORMAT,) else {}),
                     **({"undrawn": sorted(self._figure_files(undrawn))} if undrawn else {}),
+                    "failures": _failures(results),
                     **({"timed_out": _timed_out(results)} if results.timed_out else {}),
                     "provenance": {**_provenance(plan), **run, "seconds": seconds, "key": self.key},
                 }
@@ -390,6 +393,7 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
             warnings.simplefilter("ignore", UserWarning)
             try:
                 figure = spec.drawn(results, verdicts)
+                (folder / drawn_file(name)).write_bytes(drawing.encoded(figure))
                 typeset(figure)
                 for kind, content in printed(figure, kinds).items():
                     (folder / figure_file(name, kind)).write_bytes(content)
@@ -398,8 +402,8 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
             except Exception as error:
                 undrawn[name] = error
                 # What was begun of it.
-                for kind in kinds:
-                    (folder / figure_file(name, kind)).unlink(missing_ok=True)
+                for file in (drawn_file(name), *(figure_file(name, kind) for kind in kinds)):
+                    (folder / file).unlink(missing_ok=True)
     return undrawn
 
 
@@ -426,6 +430,22 @@ def _stopped(results: Results) -> dict[str, Any]:
         return {}
     looks = [number for number in rule.decisions if number <= results.plan.trials]
     return {"sequential": {"looks": looks, "met": not results.imprecise()}}
+
+
+def _failures(results: Results) -> list[dict[str, Any]]:
+    """Which trials failed and why, in run.json: of each unit those that failed alike."""
+    return [
+        {
+            "estimator": one.series[0].unit.name,
+            "at": dict(one.series[0].unit.labels),
+            # Without them, the estimate itself failed.
+            **({"metrics": [*one.metrics]} if one.of_metrics else {}),
+            "failed": one.failed,
+            "trials": one.trials,
+            "reasons": [{"reason": reason, "trials": count} for reason, count in one.reasons],
+        }
+        for one in failing(results.series)
+    ]
 
 
 def _timed_out(results: Results) -> dict[str, Any]:

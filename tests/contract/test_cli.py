@@ -447,7 +447,7 @@ def test_only_accept_changes_results_and_compare_finds_any_change(done: Lab) -> 
     assert "tiny, perturbation 2 of 2: 24/24 trials done" in first.stderr
     accepted = {path.name: path.read_bytes() for path in (results / "tiny").iterdir()}
     out = done.folder / "out/tiny"
-    copied = {path.name: path.read_bytes() for path in out.iterdir() if path.name != "timing.csv"}
+    copied = {path.name: path.read_bytes() for path in out.iterdir()}
     assert {*accepted} == {*copied, "sensitivity.csv"}
     assert all(accepted[name] == copied[name] for name in copied if name != "run.json")
     sensitivity = pd.read_csv(results / "tiny/sensitivity.csv")

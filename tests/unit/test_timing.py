@@ -155,7 +155,7 @@ def test_of_many_units_the_seconds_of_one_are_in_memory(lab: Lab) -> None:
     assert peak < 8 * 8 * 10_000
 
 
-def test_timing_csv_is_of_the_run_and_nothing_compares_it(lab: Lab) -> None:
+def test_timing_csv_is_of_the_run_accepted_with_it_and_nothing_compares_it(lab: Lab) -> None:
     lab.run("-q")
     out = lab.folder / "out/tiny"
     table = pd.read_csv(out / "timing.csv")
@@ -163,9 +163,13 @@ def test_timing_csv_is_of_the_run_and_nothing_compares_it(lab: Lab) -> None:
     assert (table["median"] > 0.0).all()
     assert "timing.csv" not in (out / "run.json").read_text()
     lab.hident("accept", "tiny", "-q", "-j1")
-    assert not (lab.folder / "results/tiny/timing.csv").exists()
+    accepted = lab.folder / "results/tiny/timing.csv"
+    assert accepted.read_bytes() == (out / "timing.csv").read_bytes()
     (out / "timing.csv").write_text("anything\n")
     assert "up to date" in lab.hident("status", "tiny.yaml").stdout
+    assert "no differences" in lab.hident("compare").stdout
+    assert "no differences" in lab.hident("compare", "results", "out").stdout
+    accepted.unlink()
     assert "no differences" in lab.hident("compare").stdout
 
 

@@ -138,7 +138,8 @@ class PairedDifferences(_OfComparison):
             y = place[id(one.case)]
             estimate, low, high = np.exp(one.interval) if ratios else np.array(one.interval)
             if np.isfinite([low, high]).any() or np.isinf([low, high]).all():
-                axes.plot(np.clip([low, high], left, right), [y, y], color="black", linewidth=1.4, zorder=4)
+                interval = np.clip([low, high], left, right), [y, y]
+                axes.plot(*interval, label="_95 % interval", color="black", linewidth=1.4, zorder=4)
             if np.isfinite(estimate):
                 geometric = "geometric " * (ratios and source.statistic == "mean")
                 told = "told apart" if one.side else "tied"
@@ -370,12 +371,14 @@ class CriticalDifferences(_OfComparison):
             at_left = place < half
             below = 0.35 * len(groups) + step * (place if at_left else len(names) - 1 - place) + 0.9
             end = 1.0 - 0.12 if at_left else len(names) + 0.12
-            axes.plot([ranks[i], ranks[i], end], [0.0, below, below], color="0.45", linewidth=0.8)
+            line = [ranks[i], ranks[i], end], [0.0, below, below]
+            axes.plot(*line, label=f"_{names[i]}", color="0.45", linewidth=0.8)
             text = "\n".join(f" {line} " for line in said[i])
             axes.text(end, below, text, ha="right" if at_left else "left", va="center")
         for row, (first, last) in enumerate(groups):
             ends = [ranks[order[first]] - 0.04, ranks[order[last]] + 0.04]
-            axes.plot(ends, 2 * [0.35 * (row + 1)], color="black", linewidth=3.5, solid_capstyle="butt")
+            look: dict[str, Any] = {"color": "black", "linewidth": 3.5, "solid_capstyle": "butt"}
+            axes.plot(ends, 2 * [0.35 * (row + 1)], label="_not told apart", **look)
         axes.set_ylim(lowest + 0.6, -1.5 - above)
         axes.set_title("\n".join(heading), fontsize="medium")
         return figure
@@ -384,11 +387,12 @@ class CriticalDifferences(_OfComparison):
 def _scale(axes: Axes, methods: int, reach: float, told: str, above: bool) -> None:
     """The line of ranks with its numbers, and the critical difference above it."""
     axes.axis("off")
-    axes.plot([1, methods], [0, 0], **{**LINES[0], "color": "black", "marker": ""})
+    axes.plot([1, methods], [0, 0], label="_ranks", **{**LINES[0], "color": "black", "marker": ""})
     for rank in range(1, methods + 1):
-        axes.plot([rank, rank], [0, -0.15], color="black", linewidth=1.0)
+        axes.plot([rank, rank], [0, -0.15], label="_ranks", color="black", linewidth=1.0)
         axes.text(rank, -0.25, str(rank), ha="center", va="bottom")
-    axes.plot([1, 1 + reach], [-1.15, -1.15], color="black", linewidth=1.2, marker="|", markersize=6)
+    bar: dict[str, Any] = {"color": "black", "linewidth": 1.2, "marker": "|", "markersize": 6}
+    axes.plot([1, 1 + reach], [-1.15, -1.15], label="_critical difference", **bar)
     if above:
         axes.text(1, -1.5, told, ha="left", va="bottom")
     else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from hident.config.suggest import one_of
@@ -45,24 +46,58 @@ def legend(verdicts: Iterable[Verdict]) -> list[str]:
     return [_LEGEND, *(f"Interval: {text}." for text in dict.fromkeys(v.interval for v in verdicts))]
 
 
-def failures(series: Iterable[Series]) -> Iterator[str]:
-    """What failed and why, for the notes of a table; once for all metrics of a unit that failed alike.
+@dataclass(frozen=True)
+class Failure:
+    """Trials of one unit that failed alike."""
 
-    Where not only the estimate failed, the metrics are named: the others of the unit are there.
-    """
+    series: tuple[Series, ...]
+    """What they have no values of."""
+    of_metrics: bool
+    """Whether it was not the estimate that failed, so that other metrics of the unit may be there."""
+    reasons: tuple[tuple[str, int], ...]
+    """The kinds of reasons with their counts, the most frequent first."""
+
+    @property
+    def failed(self) -> int:
+        """How many they are."""
+        return int(self.series[0].statistics["failed"])
+
+    @property
+    def trials(self) -> int:
+        """Of how many."""
+        return int(self.series[0].statistics["trials"])
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """The metrics without values, each once."""
+        return tuple(dict.fromkeys(one.metric for one in self.series))
+
+
+def failing(series: Iterable[Series]) -> Iterator[Failure]:
+    """What failed and why, once for all metrics of a unit that failed alike."""
     alike: dict[tuple[Any, ...], list[Series]] = {}
     for one in series:
         if one.statistics["failed"]:
             own = f"{one.metric}: "
-            why = _why([(text.removeprefix(own), count) for text, count in one.reasons])
+            reasons = tuple((text.removeprefix(own), count) for text, count in one.reasons)
             of_metric = any(text.startswith(own) for text, _ in one.reasons)
-            key = id(one.unit), one.statistics["failed"], why, of_metric
+            key = id(one.unit), one.statistics["failed"], reasons, of_metric
             alike.setdefault(key, []).append(one)
-    for (_, failed, why, of_metric), found in alike.items():
-        metrics = f" for {one_of(dict.fromkeys(one.metric for one in found))}" if of_metric else ""
+    for (_, _, reasons, of_metric), found in alike.items():
+        yield Failure(tuple(found), of_metric, reasons)
+
+
+def failures(series: Iterable[Series]) -> Iterator[str]:
+    """What failed and why, for the notes of a table.
+
+    Where not only the estimate failed, the metrics are named: the others of the unit are there.
+    """
+    for one in failing(series):
+        metrics = f" for {one_of(one.metrics)}" if one.of_metrics else ""
+        whose = "its" if metrics else "the"
         yield (
-            f"{failed:.0f} of {found[0].statistics['trials']:.0f} trials of {found[0].unit.described()} "
-            f"failed{metrics}{why} and are left out of {'its' if metrics else 'the'} statistics."
+            f"{one.failed} of {one.trials} trials of {one.series[0].unit.described()} "
+            f"failed{metrics}{_why(one.reasons)} and are left out of {whose} statistics."
         )
 
 
