@@ -3,6 +3,8 @@
 import csv
 import hashlib
 import json
+import lzma
+import re
 import shutil
 from pathlib import Path
 
@@ -16,9 +18,9 @@ from hident.reports.site import build as module
 from hident.reports.site import configuration, drawings, front, runs, tables
 from hident.reports.site.build import build
 from hident.reports.site.facts import WORDS
-from hident.reports.site.numbers import SIGNS
 from hident.reports.site.pages import Run, Sources, run_page
 from hident.reports.site.rendering import rendered
+from hident.reports.tables.writing import SIGNS
 from hident.run_folder import RunFolder
 from tests.accepted import RESULTS, ROOT
 from tests.unit.site_reader import Reader, dead_links, pages
@@ -117,10 +119,11 @@ def test_every_printed_number_stands_with_ours_and_its_verdict(read, config):
     buttons = page.of("button", class_="number")
     details = {element["attributes"]["id"]: element for element in page.of("div", class_="detail")}
     assert len(buttons) == len(rows)
+    signs: dict[str, str] = dict(SIGNS.items())
     by_id = {button["attributes"]["popovertarget"]: button for button in buttons}
     for i, row in enumerate(rows):
         said = " ".join(by_id[f"n{i + 1}"]["text"].split())
-        assert said.startswith(f"printed {row['printed']} {SIGNS[row['verdict']]}, {row['verdict']}, ours ")
+        assert said.startswith(f"printed {row['printed']} {signs[row['verdict']]} {row['verdict']}, ours ")
         detail = " ".join(details[f"n{i + 1}"]["text"].split())
         for text in (row["table"], row["row"], row["quantity"], row["printed"], row["interval"]):
             assert " ".join(text.split()) in detail
@@ -175,7 +178,7 @@ def test_alternatives_stand_with_what_they_change_and_what_the_table_makes_of_th
         for row in read["runs/mzyk_table1.html"].of("tr")
         if "pole 0.6 for 0.8" in row["text"]
     ]
-    assert rows == ["pole 0.6 for 0.8system.linear.a: [0.6]6 of 240.00014✓ rejects it"]
+    assert rows == ["pole 0.6 for 0.8system.linear.a: [0.6]6 of 240.00014rejected"]
 
 
 def test_each_key_of_a_configuration_leads_to_its_meaning(read):
@@ -326,7 +329,7 @@ def test_a_long_table_leaves_the_page_short(run):
     text = (run / "table.md").read_text(encoding="utf-8")
     row = "| 3000 | 2.81 |  4.42 ! | 0.269 |  0.22 ? | 2.69 |  4.87 ! | 1.34 |  1.25 ~ |\n"
     (run / "table.md").write_text(text.replace(row, 10_000 * row, 1), encoding="utf-8")
-    timing = "samples,estimator,fits\n" + "".join(f"{i},kernel (4),7\n" for i in range(10_000))
+    timing = "samples,estimator,fits,median\n" + "".join(f"{i},kernel (4),7,0.002\n" for i in range(10_000))
     (run / "timing.csv").write_text(timing, encoding="utf-8")
     header, *numbers = (run / VERDICTS).read_text(encoding="utf-8").splitlines()
     many = [number.replace("N=", f"{i} N=") for i in range(500) for number in numbers[:20]]
@@ -346,7 +349,7 @@ def test_a_long_table_leaves_the_page_short(run):
     assert "9900 more printed numbers stand in verdicts.csv." in said
     assert any(text.endswith("more rows stand in table.md.") for text in said)
     assert any(text.endswith("more rows stand in timing.csv.") for text in said)
-    assert any(text.endswith("more rows stand in table.csv.") for text in said)
+    assert any(text.endswith("more rows stand in run.json.") for text in read.text_of("td"))
 
 
 DAMAGE = {
@@ -438,6 +441,104 @@ def test_the_program_says_where_the_site_is_and_what_is_wrong(lab):
     assert "unsound: out/tiny: table.md is missing" in broken.stdout
     assert "holds no run" in lab.hident("report", "elsewhere", code=4).stderr
     assert lab.hident("report", "--out", "tiny.yaml", code=2).stderr.startswith("error: tiny.yaml holds what")
+
+
+def test_the_front_page_counts_each_printed_number_once(read):
+    """And the README says of each paper how many it prints, as its published.csv has them."""
+    said = " ".join(read["index.html"].of("div", class_="total")[0]["text"].split())
+    papers = {file.parent.name: len(numbers_in(file)) for file in ROOT.glob("experiments/*/published.csv")}
+    places: dict[tuple[str, ...], list[str]] = {}
+    for config in JUDGED:
+        paper = json.loads((RESULTS / config / RUN).read_bytes())["experiment"]["resolved"]["paper"]
+        for row in rows_of(config):
+            places.setdefault((paper, row["table"], row["row"], row["quantity"]), []).append(row["mark"])
+    counting = [key for key, marks in places.items() if {"", "multiplicity"} & {*marks}]
+    verdicts = sum(mark in ("", "multiplicity") for marks in places.values() for mark in marks)
+    assert said.startswith(f"{sum(papers.values())} printed numbers of {len(papers)} papers.")
+    assert f"{len(counting)} count; of the others, " in said
+    assert f"so there are {verdicts} verdicts:" in said
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    typed = re.findall(r"\[(\d+) (?:printed )?numbers judged[^]]*\]\(experiments/(\w+)/README.md\)", readme)
+    assert {paper: int(count) for count, paper in typed} == papers
+
+
+def numbers_in(file):
+    with file.open(newline="", encoding="utf-8") as lines:
+        return list(csv.DictReader(lines))
+
+
+def test_each_verdict_has_the_sign_of_table_md_and_its_word(read):
+    for path, reader in read.items():
+        for sign in reader.of("span", class_="sign"):
+            assert not {*"\N{CHECK MARK}\N{ALMOST EQUAL TO}\N{BALLOT X}"} & {*sign["text"]}, path
+    legend = [" ".join(item["text"].split()) for item in read["index.html"].of("ul", class_="legend")]
+    assert len(legend) == 1
+    for word, sign in SIGNS.items():
+        assert f"{sign} {word} " in legend[0]
+
+
+def test_failures_stand_by_their_reasons(run):
+    """Those that run.json lists; of older files, what table.csv counts."""
+    unit = {"estimator": "kernel (4)", "at": {"samples": 50}, "failed": 3, "trials": 200}
+    reasons = [{"reason": "the matrix is <singular>", "trials": 2}, {"reason": "no descent", "trials": 1}]
+    other = {"estimator": "orthogonal (7)", "at": {}, "metrics": ["mise"], "failed": 4, "trials": 200}
+    listed = [
+        {**unit, "reasons": reasons},
+        {**other, "reasons": [{"reason": "no descent", "trials": 4}]},
+        {"estimator": 3},
+    ]
+    rewritten(run, lambda content: content.update(failures=listed))
+    said = [" ".join(row["text"].split()) for row in page_of(run).of("tr")]
+    at = said.index("5 \N{MULTIPLICATION SIGN} no descent")
+    assert said[at : at + 5] == [
+        "5 \N{MULTIPLICATION SIGN} no descent",
+        "kernel (4)samples 501200the estimate",
+        "orthogonal (7)4200mise",
+        "2 \N{MULTIPLICATION SIGN} the matrix is <singular>",
+        "kernel (4)samples 502200the estimate",
+    ]
+    rewritten(run, lambda content: content.update(failures=[]))
+    assert "No trial failed." in page_of(run).text_of("p")
+    rewritten(run, lambda content: content.pop("failures"))
+    assert "No trial failed." in page_of(run).text_of("p")
+    header, first, *rows = (run / "table.csv").read_text(encoding="utf-8").splitlines()
+    cells = first.split(",")
+    cells[header.split(",").index("failed")] = "7"
+    (run / "table.csv").write_text("\n".join([header, ",".join(cells), *rows, ""]), encoding="utf-8")
+    assert any(
+        "7 \N{MULTIPLICATION SIGN} The files do not hold why" in row["text"] for row in page_of(run).of("tr")
+    )
+    (run / "table.csv").unlink()
+    assert "Not known." in page_of(run).text_of("p")
+
+
+def test_seconds_are_shown_in_milliseconds_with_the_machine(run):
+    rows = "50,kernel (4),200,0.00123456,0.001,0.002,1.0,True\n50,orthogonal (7),0,,,,,False\n"
+    (run / "timing.csv").write_text(
+        f"samples,estimator,fits,median,q25,q75,relative,batched\n{rows}", encoding="utf-8"
+    )
+    page = page_of(run)
+    said = [" ".join(row["text"].split()) for row in page.of("tr")]
+    assert "50kernel (4)2001.231.002.001.00yes" in said
+    assert "50orthogonal (7)0no" in said
+    cpu = json.loads((RESULTS / "mzyk_table1" / RUN).read_bytes())["provenance"]["cpu"]
+    assert any(text.startswith("What one fit takes") and f"cpu {cpu}" in text for text in page.text_of("p"))
+
+
+def test_the_numbers_that_a_figure_draws_stand_beside_it_unpacked(run, tmp_path):
+    text = "panel,curve,x,y\n1,kernel (4),50,12.5\n"
+    (run / "mise.data.csv.xz").write_bytes(lzma.compress(text.encode()))
+    rewritten(run, lambda content: content["files"].append("mise.data.csv.xz"))
+    built = build([run], tmp_path / "site", results=RESULTS, **FOLDERS)
+    assert built.faults == ()
+    assert (tmp_path / "site/runs/mzyk_table1/mise.data.csv").read_text(encoding="utf-8") == text
+    read = pages(tmp_path / "site")
+    assert [link for page, link in dead_links(tmp_path / "site", read) if page.startswith("runs/")] == []
+    captions = [" ".join(one["text"].split()) for one in read["runs/mzyk_table1.html"].of("figcaption")]
+    assert any(said.endswith("what it draws: mise.data.csv") for said in captions)
+    (run / "mise.data.csv.xz").write_bytes(b"no xz")
+    broken = build([run], tmp_path / "site", results=RESULTS, **FOLDERS)
+    assert any("mise.data.csv.xz is not as it was written" in fault for fault in broken.faults)
 
 
 def test_the_picture_of_the_ledger_has_every_table(site):

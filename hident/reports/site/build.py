@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import lzma
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 
 import hident
-from hident.engine.run_files import OWN, POWER
+from hident.engine.run_files import OWN, POWER, is_drawn
 from hident.engine.trial import digest
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.new_files import made_folder, replacing
@@ -133,9 +134,13 @@ def _lines(names: Iterable[str]) -> bytes:
 
 def _content(source: Path) -> bytes:
     try:
-        return source.read_bytes()
+        content = source.read_bytes()
+        return lzma.decompress(content) if is_drawn(source.name) else content
     except OSError as error:
         raise StoreError(f"{source} cannot be read: {(error.strerror or str(error)).lower()}") from None
+    except lzma.LZMAError:
+        # The page says that the file is not as it was written.
+        return b""
 
 
 def _write(out: Path, name: str, content: bytes) -> None:

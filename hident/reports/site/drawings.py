@@ -16,8 +16,8 @@ import numpy as np
 from hident.arrays import Array
 from hident.ledger.verify import TableState
 from hident.reports.site.facts import WORDS
-from hident.reports.site.numbers import SIGNS, Number
-from hident.reports.tables.writing import written
+from hident.reports.site.numbers import Number
+from hident.reports.tables.writing import SIGNS, written
 
 _PATTERNS = """\
 <pattern id="p-agrees" width="6" height="6" patternUnits="userSpaceOnUse" patternTransform="rotate(45)">\

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,9 +14,10 @@ from hident.ledger.verify import TableState
 from hident.reports.page import Page as Content
 from hident.reports.site import drawings, tables
 from hident.reports.site.facts import WORDS
-from hident.reports.site.numbers import MEANINGS, SIGNS
+from hident.reports.site.numbers import MEANINGS, UNCOUNTED
 from hident.reports.site.pages import FRONT, Page, Part, Run, Sources, paper_page, run_file, run_page
 from hident.reports.site.rendering import NAVIGATION
+from hident.reports.tables.writing import SIGNS
 
 PICTURE = "ledger.svg"
 """The ledger as a picture by itself."""
@@ -58,6 +60,19 @@ class Paper:
     def counts(self) -> dict[str, int]:
         """How many printed numbers came out how."""
         return {word: sum(row.state.counts.get(word, 0) for row in self.rows) for word in WORDS}
+
+
+@dataclass(frozen=True)
+class Printed:
+    """How many printed numbers there are, and of those that do not count how many for which reason."""
+
+    total: int
+    idle: Mapping[str, int]
+
+    @property
+    def counting(self) -> int:
+        """How many count."""
+        return self.total - sum(self.idle.values())
 
 
 def parts(sources: Sources) -> Iterator[Part]:
@@ -116,7 +131,8 @@ def _pages(sources: Sources) -> Iterator[Page]:
     front = {
         "papers": every,
         "counts": counts,
-        "printed": len({key for paper in every for row in paper.rows for key in _counted(paper, row)}),
+        "printed": printed_in(sources.runs),
+        "uncounted": UNCOUNTED,
         "methods": sorted({kind for paper in every for row in paper.rows for kind in row.methods}),
         "comparisons": [(run, _picture_of(run)) for run in newest if run.facts.is_comparison],
         "measured": [
@@ -135,12 +151,15 @@ def _pages(sources: Sources) -> Iterator[Page]:
     )
 
 
-def _counted(paper: Paper, row: Row) -> Iterator[tuple[str, ...]]:
-    """The printed numbers of a table that count, by their places in the paper."""
-    verdicts = row.run.facts.verdicts
-    for one in verdicts.rows if verdicts else ():
-        if one["mark"] in COUNTED and one["table"] == row.state.table:
-            yield paper.name, one["table"], one["row"], one["quantity"]
+def printed_in(runs: Sequence[Run]) -> Printed:
+    """The printed numbers that runs stand beside, each once in however many runs."""
+    marks: dict[tuple[str, ...], set[str]] = {}
+    for run in runs:
+        for one in run.facts.verdicts.rows if run.facts.verdicts else ():
+            key = run.facts.paper, one["table"], one["row"], one["quantity"]
+            marks.setdefault(key, set()).add(one["mark"])
+    idle = Counter(min(found) for found in marks.values() if not found & {*COUNTED})
+    return Printed(len(marks), dict(sorted(idle.items())))
 
 
 def _what(run: Run) -> str:

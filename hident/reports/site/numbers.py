@@ -14,8 +14,6 @@ from hident.ledger.power import VerdictPower
 from hident.ledger.trial_values import TrialValues
 from hident.reports.tables.writing import decimals_of, written
 
-SIGNS = {"exact": "✓", "agrees": "≈", "untestable": "?", "differs": "✗"}
-"""The sign of each verdict, for readers without colours."""
 MEANINGS = {
     "exact": "ours rounds to the printed digits",
     "agrees": "the printed number lies in the interval that our trials give, and not in that of every "
@@ -30,6 +28,12 @@ MARKS = {
     "circular": "not counted: the printed number is the truth of the configuration",
     "multiplicity": "some number of so many differs by chance; the table as a whole is sound",
 }
+UNCOUNTED = {
+    "structural": "belong to coefficients that are not there",
+    "duplicate": "are printed a second time",
+    "circular": "are the truth of the configuration",
+}
+"""In few words, why printed numbers do not count."""
 STATISTICS = {"mean": "mean", "median": "median", "std": "standard deviation"}
 
 

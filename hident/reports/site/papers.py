@@ -9,8 +9,9 @@ from hident.engine.trial import digest
 from hident.reports.site import drawings, front
 from hident.reports.site.facts import WORDS
 from hident.reports.site.markdown import document
-from hident.reports.site.numbers import SIGNS
+from hident.reports.site.numbers import MEANINGS
 from hident.reports.site.pages import Page, Part, Sources, paper_page, run_page
+from hident.reports.tables.writing import SIGNS
 
 
 def parts(sources: Sources) -> Iterator[Part]:
@@ -36,6 +37,7 @@ def _page(name: str, text: str, sources: Sources, paper: front.Paper | None) -> 
         "drawings": drawings,
         "words": WORDS,
         "signs": SIGNS,
+        "meanings": MEANINGS,
         "page_of": lambda run: run_page(run.name),
     }
     yield Page(path, made.title or name, "Runs", "paper.html", data, passages=made.passages)

@@ -25,6 +25,8 @@ from hident.engine.run_files import (
     TIMING,
     TRIALS,
     VERDICTS,
+    drawn_file,
+    is_drawn,
 )
 from hident.engine.trial import digest
 from hident.errors import ConfigError
@@ -34,8 +36,9 @@ from hident.ledger.trial_values import TrialValues
 from hident.reports.page import Page as Content
 from hident.reports.site import bibliography, configuration, drawings, tables
 from hident.reports.site.facts import WORDS, Facts
+from hident.reports.site.failures import failures_of
 from hident.reports.site.markdown import html
-from hident.reports.site.numbers import MARKS, MEANINGS, SIGNS, Number, numbers_of
+from hident.reports.site.numbers import MARKS, MEANINGS, Number, numbers_of
 from hident.reports.site.pages import (
     Page,
     Part,
@@ -45,8 +48,9 @@ from hident.reports.site.pages import (
     paper_page,
     run_file,
     run_page,
+    shown_file,
 )
-from hident.reports.tables.writing import written
+from hident.reports.tables.writing import SIGNS, written
 
 _PICTURES = (".svg", ".png", ".pdf")
 _MOST_ROWS = 100
@@ -120,6 +124,8 @@ class Figure:
     picture: str
     """The file that a page shows; empty where there is none to show."""
     files: tuple[str, ...]
+    data: str
+    """The file of the numbers that it draws; empty where there is none."""
     size: tuple[int, int] | None
     about: str
     kind: str
@@ -132,7 +138,6 @@ def _page(run: Run, sources: Sources, shows: str, told: Sequence[tuple[str, str]
     reasons = _reasons(sources.experiments / facts.paper) if facts.paper else ()
     differing = _differing(numbers, facts, reasons)
     page_text = _text_of(run, PAGE)
-    failures = _failures(run)
     content = Content.read(page_text) if page_text else None
     said = "\n\n".join(_said(content)) if content else ""
     data = {
@@ -159,9 +164,10 @@ def _page(run: Run, sources: Sources, shows: str, told: Sequence[tuple[str, str]
         "statistics": [*dict.fromkeys(one.statistic for one in numbers if one.statistic)],
         "alternatives": _alternatives(facts),
         "stale": facts.verdicts.stale if facts.verdicts else (),
-        "failures": failures[:_MOST_ROWS],
-        "more_failures": max(len(failures) - _MOST_ROWS, 0),
-        "timing": tables.listed(run.folder.path / TIMING) if TIMING in run.files else None,
+        "failures": failures_of(run),
+        "most_rows": _MOST_ROWS,
+        "timing": tables.timing(run.folder.path / TIMING) if TIMING in run.files else None,
+        "machine": list(_machine(facts)),
         "moved": _moved(run),
         "provenance": list(_provenance(facts)),
         "seconds": list(_pairs(facts.provenance.get("seconds"))),
@@ -169,7 +175,7 @@ def _page(run: Run, sources: Sources, shows: str, told: Sequence[tuple[str, str]
         "commands": list(_commands(run)),
         "name": shlex.quote(facts.config),
         "citations": list(_citations(facts, sources.experiments)),
-        "files": [(name, (run.folder.path / name).stat().st_size, _about(name)) for name in run.files],
+        "files": [(shown_file(name), _bytes(run, name), _about(name)) for name in run.files],
     }
     headings = [part for table in content.tables for part in (table.title, *table.header)] if content else []
     kinds = [kind for section in _SECTIONS for kind in facts.kinds(section)]
@@ -247,11 +253,12 @@ def _figures(run: Run) -> Iterator[Figure]:
     for name in dict.fromkeys([*asked, *sorted(there)]):
         files = tuple(f"{name}{end}" for end in _PICTURES if f"{name}{end}" in run.files)
         shown = next((file for file in files if not file.endswith(".pdf")), "")
+        data = shown_file(drawn_file(name)) if drawn_file(name) in run.files else ""
         spec = asked.get(name)
         kind = str(spec.get("kind", "")) if isinstance(spec, Mapping) else ""
         about = known[kind].summary() if kind in known else ""
         size = _size(run.folder.path / shown) if shown.endswith(".png") else None
-        yield Figure(name, shown, files, size, about, component_page("figure", kind) if about else "")
+        yield Figure(name, shown, files, data, size, about, component_page("figure", kind) if about else "")
 
 
 def _size(file: Path) -> tuple[int, int] | None:
@@ -288,27 +295,6 @@ def _changes(change: Any) -> list[str]:
     return [f"{path}: {json.dumps(value, ensure_ascii=False)}" for path, value in change.items()]
 
 
-def _failures(run: Run) -> list[dict[str, Any]]:
-    """Where trials failed: the unit, how many, and which metrics."""
-    rows = tables.records(run.folder.path / TABLE) if TABLE in run.files else []
-    found: dict[tuple[str, ...], dict[str, Any]] = {}
-    for row in rows:
-        if as_number(row.get("failed", "")) > 0:
-            axes = [f"{name} {row[name]}" for name in _axes(row) if row[name]]
-            key = (row.get("estimator", ""), row["failed"], *axes)
-            unit = found.setdefault(
-                key,
-                {"estimator": row.get("estimator", ""), "case": ", ".join(axes), "metrics": [], "row": row},
-            )
-            unit["metrics"].append(row.get("metric", ""))
-    return list(found.values())
-
-
-def _axes(row: Mapping[str, str]) -> list[str]:
-    names = list(row)
-    return names[: names.index("estimator")] if "estimator" in names else []
-
-
 def _moved(run: Run) -> tuple[int, int] | None:
     """How many trials a last bit moved, of how many; None where it was not measured."""
     rows = tables.records(run.folder.path / SENSITIVITY) if SENSITIVITY in run.files else []
@@ -338,9 +324,16 @@ def _provenance(facts: Facts) -> Iterator[tuple[str, str]]:
     arithmetic = known.get("arithmetic")
     if isinstance(arithmetic, Mapping) and arithmetic.get("identity"):
         yield "arithmetic", str(arithmetic["identity"])
-    for name in ("platform", "cpu", "finished"):
-        if known.get(name):
-            yield name, str(known[name])
+    yield from _machine(facts)
+    if known.get("finished"):
+        yield "finished", str(known["finished"])
+
+
+def _machine(facts: Facts) -> Iterator[tuple[str, str]]:
+    """The machine of the run."""
+    for name in ("platform", "cpu", "workers"):
+        if facts.provenance.get(name):
+            yield name, str(facts.provenance[name])
 
 
 def _pairs(value: Any) -> Iterator[tuple[str, str]]:
@@ -376,6 +369,11 @@ def _citations(facts: Facts, experiments: Path) -> Iterator[tuple[str, str]]:
         yield ", ".join(dict.fromkeys(what)), known[key]
 
 
+def _bytes(run: Run, name: str) -> int | None:
+    """The size of a file; None of one that the site unpacks."""
+    return None if is_drawn(name) else (run.folder.path / name).stat().st_size
+
+
 def _about(name: str) -> str:
     """What a file of a run is."""
     told = {
@@ -384,10 +382,12 @@ def _about(name: str) -> str:
         PAGE: "the tables as text",
         VERDICTS: "the verdicts on the printed numbers",
         TRIALS: "the value of every trial (pandas.read_csv reads it)",
-        TIMING: "the seconds of a fit, on the machine of the run",
+        TIMING: "the seconds of a fit, on the machine of the run: no comparison reads them",
         SENSITIVITY: "how many trials a last bit moves",
         CRASHES: "what crashed",
     }
     if name in told:
         return told[name]
+    if is_drawn(name):
+        return "the numbers that a figure draws"
     return "a table by itself" if name.endswith(".csv") else "a figure" if name.endswith(_PICTURES) else ""

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from hident.ledger.judged import as_number
 from hident.reports.site.numbers import Number
 from hident.reports.table import Table, is_number
-from hident.reports.tables.writing import LEGEND, SIGNS
+from hident.reports.tables.writing import LEGEND, SIGNS, written
 
 MOST_CELLS = 1000
 """Cells of one table that a page shows; the file has them all."""
@@ -23,6 +25,15 @@ _VERDICTS = {sign: verdict for verdict, sign in SIGNS.items()}
 _JUDGED = re.compile(r"([<>]?[-+.\deE]+) ([=~?!])((?: p\d+)?)")
 
 
+_TIMING = {
+    "fits": "fits",
+    "median": "median (ms)",
+    "q25": "lower quartile (ms)",
+    "q75": "upper quartile (ms)",
+    "relative": "of the fastest",
+    "batched": "in batches",
+}
+"""The columns of timing.csv for readers; those before are the case and the estimator."""
 Labelled = tuple[str, Number]
 """A number, and what tells it from the others of its cell; empty where it stands alone."""
 
@@ -125,14 +136,26 @@ def all_shown(tables: Sequence[Table]) -> list[Shown]:
     return found
 
 
-def listed(file: Path) -> Shown | None:
-    """The first rows of a CSV; None if it cannot be read."""
+def timing(file: Path) -> Shown | None:
+    """The first rows of timing.csv in milliseconds; None if it cannot be read."""
     try:
         with file.open(newline="", encoding="utf-8") as lines:
             header, *rows = csv.reader(lines)
     except (OSError, ValueError, csv.Error):
         return None
-    return shown(Table("", tuple(header), tuple(map(tuple, rows))), MOST_CELLS // 2)
+    named = tuple(_TIMING.get(name, name) for name in header)
+    body = (tuple(map(_timed, header, row)) for row in rows)
+    return shown(Table("", named, tuple(body)), MOST_CELLS // 2)
+
+
+def _timed(column: str, cell: str) -> str:
+    """A cell of timing.csv for readers."""
+    if column == "batched":
+        return "yes" if cell == "True" else "no"
+    if column not in _TIMING or column == "fits":
+        return cell
+    value = as_number(cell)
+    return "" if math.isnan(value) else written(value if column == "relative" else 1000.0 * value)
 
 
 def _cell(text: str) -> Cell:
