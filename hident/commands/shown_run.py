@@ -11,7 +11,7 @@ from hident.commands.results_folders import FoundRun, is_run, list_runs, runs_in
 from hident.commands.shown_numbers import print_numbers, print_series
 from hident.commands.terminal import signed, terminal, text_of
 from hident.config.suggest import did_you_mean, one_of
-from hident.engine.run_files import NUMBERS, in_format
+from hident.engine.run_files import NUMBERS, PAGE, in_format
 from hident.errors import ConfigError, Exit, HidentError
 from hident.reports.page import Page
 from hident.reports.table import Table, is_number
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 _PRINTED = "printed"
+_MOST_ROWS = 500
+"""The rows of a table that are printed; of more, the first."""
 
 
 def show_results(path: Path, results: Path) -> Exit:
@@ -91,8 +93,11 @@ def _print_tables(console: Console, page: Page) -> None:
     for table in page.tables:
         console.print()
         console.print(text_of(table.title, "bold underline"))
-        for part in _blocks(table, console.width):
+        first = Table(table.title, table.header, table.rows[:_MOST_ROWS])
+        for part in _blocks(first, console.width):
             console.print(_shown(part))
+        if more := len(table.rows) - len(first.rows):
+            console.print(text_of(f"and {more} more rows: {PAGE} has all"))
         for note in table.notes:
             if note not in said:
                 console.print(text_of(note.replace("`", "")))

@@ -153,6 +153,16 @@ def test_what_would_steer_a_terminal_is_only_text(run: Path, capsys: pytest.Capt
     assert "[red]?[2J<script>\\u{} C:\\new 'quoted'" in said and ESCAPE not in said
 
 
+def test_of_a_long_table_the_first_rows_are_printed(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    row = "| 3000 | 2.81 |  4.42 ! | 0.269 |  0.22 ? | 2.69 |  4.87 ! | 1.34 |  1.25 ~ |\n"
+    text = (run / PAGE).read_text()
+    assert row in text
+    (run / PAGE).write_text(text.replace(row, 10_000 * row, 1))
+    lines = _shown(capsys, run).splitlines()
+    assert "and 9505 more rows: table.md has all" in lines
+    assert sum(line.startswith("3000 ") for line in lines) < 600
+
+
 def test_the_same_run_again_names_what_it_ran(
     run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
