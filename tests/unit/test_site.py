@@ -23,7 +23,7 @@ from hident.reports.site.rendering import rendered
 from hident.reports.tables.writing import SIGNS
 from hident.run_folder import RunFolder
 from tests.accepted import RESULTS, ROOT
-from tests.unit.site_reader import Reader, dead_links, pages
+from tests.unit.site_reader import Reader, dead_links, pages, written
 
 MOST_BYTES = 300_000
 """Of a page without its figures."""
@@ -170,6 +170,25 @@ def test_a_page_says_where_the_numbers_come_from_and_how_to_make_them_again(read
     entries = "\n".join(element["text"] for element in page.of("pre"))
     assert "@article{mzyk2009," in entries
     assert "10.1109/LSP.2009.2024795" in entries
+
+
+def test_commands_name_a_study_by_the_file_that_they_find(run, tmp_path):
+    def commands():
+        sources = Sources(
+            (Run("valve", RunFolder(run), RESULTS),), ROOT / "experiments", tmp_path / "configs", ROOT
+        )
+        page = rendered(next(page for part in runs.parts(sources) for page in part.make()))
+        return Reader(page.html).text_of("dt")
+
+    rewritten(run, lambda content: content["experiment"].update(config="valve"))
+    assert "hident run valve" in commands()
+    written(tmp_path, "valve/valve.yaml", "")
+    assert "hident run valve/valve.yaml" in commands()
+    assert "hident show out/valve" in commands()
+    # It was never accepted.
+    assert not any(line.startswith("hident compare") for line in commands())
+    written(tmp_path, "configs/valve.yaml", "")
+    assert "hident run valve" in commands()
 
 
 def test_alternatives_stand_with_what_they_change_and_what_the_table_makes_of_them(read):

@@ -66,7 +66,7 @@ def build(
         If it cannot be written, or a file of a run cannot be read.
     """
     found, left_out = _runs(folders, results)
-    sources = Sources(found, experiments, configs, docs or handbook.docs_folder())
+    sources = Sources(found, experiments, configs, docs or handbook.docs_folder(), results)
     old = _written_before(out)
     place = out.resolve()
     kept = _Kept(place.with_name(f".{place.name}-cache"))

@@ -120,6 +120,22 @@ class Sources:
     configs: Path
     docs: Path
     """The folder of the handbook."""
+    results: Path = Path("results")
+    """The folder of the accepted results."""
+
+    def named(self, config: str) -> str:
+        """What the commands call a configuration: its name, or the path of its file where that stands aside.
+
+        A study of `hident new` stands in a folder of its own name.
+        """
+        root = self.configs.parent
+        # Whatever a damaged run.json calls it, no other file is looked for.
+        if not re.fullmatch(r"\w[\w.-]{0,99}", config):
+            return config
+        if (self.configs / f"{config}.yaml").is_file() or (root / f"{config}.yaml").is_file():
+            return config
+        aside = root / config / f"{config}.yaml"
+        return aside.relative_to(root).as_posix() if aside.is_file() else config
 
     @cached_property
     def documents(self) -> dict[str, Path]:

@@ -84,6 +84,7 @@ def parts(sources: Sources) -> Iterator[Part]:
                 papers,
                 kinds,
                 [[str(p), h] for p, h in known.items()],
+                [sources.named(run.facts.config), _is_accepted(run, sources)],
             ]
         )
         yield Part(key, partial(_page, run, sources, shows, papers), files)
@@ -172,8 +173,8 @@ def _page(run: Run, sources: Sources, shows: str, told: Sequence[tuple[str, str]
         "provenance": list(_provenance(facts)),
         "seconds": list(_pairs(facts.provenance.get("seconds"))),
         "configuration": configuration.lines(facts.resolved),
-        "commands": list(_commands(run)),
-        "name": shlex.quote(facts.config),
+        "commands": list(_commands(run, sources)),
+        "name": shlex.quote(sources.named(facts.config)),
         "citations": list(_citations(facts, sources.experiments)),
         "files": [(shown_file(name), _bytes(run, name), _about(name)) for name in run.files],
     }
@@ -341,11 +342,18 @@ def _pairs(value: Any) -> Iterator[tuple[str, str]]:
         yield from ((str(name), str(inner)) for name, inner in value.items())
 
 
-def _commands(run: Run) -> Iterator[tuple[str, str]]:
+def _is_accepted(run: Run, sources: Sources) -> bool:
+    return (sources.results / run.facts.config / RUN).is_file()
+
+
+def _commands(run: Run, sources: Sources) -> Iterator[tuple[str, str]]:
     """The commands that make the run and its parts again, and what each does."""
-    facts, name = run.facts, shlex.quote(run.facts.config)
+    facts, name = run.facts, shlex.quote(sources.named(run.facts.config))
     yield f"hident run {name}", "computes the trials and writes all that stands here to out/"
-    yield "hident compare out results", "holds them against the accepted results, trial by trial"
+    if _is_accepted(run, sources):
+        yield "hident compare out results", "holds them against the accepted results, trial by trial"
+    shown = shlex.quote(f"out/{facts.config}")
+    yield f"hident show {shown}", "prints this page in a terminal"
     if facts.resolved.get("alternatives"):
         yield f"hident power {name}", "runs the alternatives"
     yield f"hident show {name} --trial 0", "makes one trial again: its record, estimates, scores and a figure"
