@@ -131,6 +131,13 @@ Gaps = Annotated[
     str | None,
     typer.Option(metavar="error|split", help="A missing sample is an error (the default), or a part's end."),
 ]
+Missing = Annotated[
+    str | None,
+    typer.Option(metavar="VALUES", help="What stands for a missing sample, such as -9999; several: A,B."),
+]
+Decimal = Annotated[
+    str | None, typer.Option(metavar=".|,", help="What stands before decimals in text; by default, as seen.")
+]
 ModelFile = Annotated[Path, typer.Argument(help="A fitted model: model.json.")]
 _STORE, _OUT, _RESULTS = Path(".hident"), Path("out"), Path("results")
 
@@ -599,6 +606,8 @@ def show(
     resample: Resample = None,
     decimate: Decimate = None,
     gaps: Gaps = None,
+    missing: Missing = None,
+    decimal: Decimal = None,
     trial: Annotated[
         int | None, typer.Option(min=0, help="Of a configuration: the number of the trial; 0 by default.")
     ] = None,
@@ -654,6 +663,8 @@ def show(
         "resample": resample,
         "decimate": decimate,
         "gaps": gaps,
+        "missing": missing,
+        "decimal": decimal,
     }
     of_trial = {
         "trial": trial,
@@ -706,6 +717,8 @@ def show(
         resample=resample,
         decimate=decimate,
         gaps=gaps,
+        missing=missing,
+        decimal=decimal,
     )
     raise typer.Exit(code)
 
@@ -723,6 +736,8 @@ def identify(
     resample: Resample = None,
     decimate: Decimate = None,
     gaps: Gaps = None,
+    missing: Missing = None,
+    decimal: Decimal = None,
     structure: Annotated[
         list[str] | None,
         typer.Option(
@@ -775,6 +790,8 @@ def identify(
         resample=resample,
         decimate=decimate,
         gaps=gaps,
+        missing=missing,
+        decimal=decimal,
     )
 
 

@@ -32,7 +32,7 @@ def record_of(
             )
     names = _OPTIONS | {**(called or {})}
     given = {name: value for name, value in options.items() if value is not None}
-    columns = {name: _listed(given[name]) for name in ("input", "output")}
+    columns = {name: _listed(given[name]) for name in ("input", "output", "missing") if name in given}
     try:
         return MeasuredRecord(file=[str(file) for file in files], **(given | columns))
     except ConfigError as error:

@@ -17,6 +17,8 @@ Column = str | int
 """The name of a column, or its number from 1."""
 
 
+SPLIT = "; 'gaps: split' (--gaps split) ends a part at a missing sample"
+"""What to do about a missing sample, for the end of a message."""
 _DIGITS = re.compile("[0-9]{1,9}")
 _SHOWN = 40
 
@@ -77,8 +79,10 @@ def numbers(where: str, values: Any, *, blanks: bool = False) -> Array:
         )
     wrong = np.flatnonzero(np.isinf(column) if blanks else ~np.isfinite(column))
     if len(wrong):
-        raise ConfigError(f"{where}: sample {wrong[0]}: must be a finite number (got {column[wrong[0]]})")
+        first = column[wrong[0]]
+        hint = SPLIT if np.isnan(first) else ""
+        raise ConfigError(f"{where}: sample {wrong[0] + 1}: must be a finite number (got {first}){hint}")
     found: Array = column.astype(float)
     if len(large := np.flatnonzero(np.isinf(found))):
-        raise ConfigError(f"{where}: sample {large[0]}: must be a finite number (got {column[large[0]]})")
+        raise ConfigError(f"{where}: sample {large[0] + 1}: must be a finite number (got {column[large[0]]})")
     return found

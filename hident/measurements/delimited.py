@@ -17,23 +17,32 @@ import numpy as np
 
 from hident.arrays import Array
 from hident.errors import ConfigError
-from hident.measurements.columns import Column, places
+from hident.measurements.columns import SPLIT, Column, places
 
 _SEPARATORS = ",;\t"
 _BLANK = " "
+_POINT = "."
 _COMMENTS = ("#", "%")
 _QUOTED = re.compile('"[^"]*"')
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x19\x1b-\x1f]")
-_MISSING = {"", "nan", "na"}
-_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+_MISSING = {"", "nan", "na", "n/a", "#n/a", "#nv", "null", "none"}
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+# What may be thousands as well: groups of three digits, and no zero before them.
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
+# So many lines tell what parts the values.
+_LOOKED_AT = 20
 
 
 class NotText(Exception):
     """The bytes are no text that could hold columns."""
 
 
-def read_delimited(path: Path, wanted: Sequence[Column], *, blanks: bool = False) -> list[Array]:
+def read_delimited(
+    path: Path, wanted: Sequence[Column], *, blanks: bool = False, decimal: str | None = None
+) -> list[Array]:
     """The wanted columns, each of shape (N,); with ``blanks``, nan where a value is missing.
+
+    ``decimal`` is what stands before the decimals, a point or a comma; None: what the numbers show.
 
     Raises
     ------
@@ -45,7 +54,8 @@ def read_delimited(path: Path, wanted: Sequence[Column], *, blanks: bool = False
     table = _Table.of(path)
     asked = places(path, wanted, table.names, named=table.named)
     table.check_first_line(wanted, asked)
-    return table.quickly(asked, blanks) or table.carefully(asked, blanks)
+    quick = None if decimal == "," else table.quickly(asked, blanks)
+    return quick or table.carefully(asked, blanks, decimal)
 
 
 @dataclass(frozen=True)
@@ -66,12 +76,9 @@ class _Table:
         i = 0
         while i < len(lines) - 1 and (not lines[i].strip() or lines[i].lstrip().startswith(_COMMENTS)):
             i += 1
-        bare = _QUOTED.sub("", lines[i])
-        separator = max(_SEPARATORS, key=bare.count)
-        if separator not in bare:
-            separator = _BLANK
+        separator = _separator(lines[i:])
         cells = _full(next(iter(_rows([lines[i]], separator)), (0, []))[1])
-        named = not cells or not all(_is_number(cell) for cell in cells if cell)
+        named = not cells or not all(_is_number_of_any(cell) for cell in cells if cell)
         names = cells if named else [str(1 + k) for k in range(len(cells))]
         return cls(path, separator, tuple(names), named, i + 1, lines[i + 1 :] if named else lines[i:])
 
@@ -79,8 +86,8 @@ class _Table:
         """Refuse a first line of names that holds a number where a column is meant by its number."""
         for column, place in zip(wanted, asked, strict=True):
             name = self.names[place]
-            if self.named and _is_number(name) and column != name:
-                other = next(cell for cell in self.names if cell and not _is_number(cell))
+            if self.named and _is_number_of_any(name) and column != name:
+                other = next(cell for cell in self.names if cell and not _is_number_of_any(cell))
                 raise ConfigError(
                     f"{self.path}:{self.first}: holds numbers ('{name}') as well as what is none ('{other}')"
                 )
@@ -108,9 +115,9 @@ class _Table:
         extra = line.count(self.separator) + 1 - len(self.names)
         return extra == 0 or (extra == 1 and line.rstrip(" ").endswith(self.separator))
 
-    def carefully(self, asked: Sequence[int], blanks: bool) -> list[Array]:
+    def carefully(self, asked: Sequence[int], blanks: bool, decimal: str | None) -> list[Array]:
         """The columns cell by cell."""
-        samples: list[list[float]] = []
+        samples: list[tuple[str, list[str]]] = []
         for number, row in _rows(self.body, self.separator):
             where = f"{self.path}:{self.first + self.named + number - 1}"
             if len(row) < len(self.names) or any(row[len(self.names) :]):
@@ -118,21 +125,69 @@ class _Table:
                 raise ConfigError(
                     f"{where}: has {len(row)} columns, where the first line {first} {len(self.names)}"
                 )
-            samples.append([self._value(row[place], place, where, blanks) for place in asked])
-        return list(np.array(samples, dtype=float).reshape(-1, len(asked)).T.copy())
+            samples.append((where, [row[place] for place in asked]))
+        decimal = decimal or self._decimal(samples)
+        values = [
+            [self._value(text, place, where, blanks, decimal) for text, place in zip(row, asked, strict=True)]
+            for where, row in samples
+        ]
+        return list(np.array(values, dtype=float).reshape(-1, len(asked)).T.copy())
 
-    def _value(self, text: str, place: int, where: str, blanks: bool) -> float:
+    def _decimal(self, samples: Sequence[tuple[str, Sequence[str]]]) -> str:
+        """What stands before the decimals: a comma where it does so once, and cannot be one of thousands."""
+        commas = [(where, text) for where, row in samples for text in row if _DECIMAL_COMMA.fullmatch(text)]
+        if not commas:
+            return _POINT
+        if all(_THOUSANDS.fullmatch(text) for _, text in commas):
+            where, text = commas[0]
+            raise ConfigError(
+                f"{where}: '{text}' may be {text.replace(',', '.')} or {text.replace(',', '')}: if the comma "
+                "stands before decimals, say so by 'decimal: \",\"' (--decimal ,)"
+            )
+        return ","
+
+    def _value(self, text: str, place: int, where: str, blanks: bool, decimal: str) -> float:
         if blanks and text.lower() in _MISSING:
             return math.nan
-        if _is_number(text) and math.isfinite(value := float(text)):
+        number = text
+        if decimal != _POINT and _DECIMAL_COMMA.fullmatch(text):
+            number = text.replace(",", ".")
+        elif decimal != _POINT and "." in text:
+            number = ""
+        if _is_number(number) and math.isfinite(value := float(number)):
             return value
         column = f"'{self.names[place]}'" if self.named else self.names[place]
         hint = ""
         if self.named and text == self.names[place]:
             hint = "; the names of the columns stand here once more"
-        elif _DECIMAL_COMMA.fullmatch(text):
-            hint = "; numbers are written with a decimal point"
+        elif text.lower() in _MISSING:
+            hint = SPLIT
+        elif decimal == _POINT and _DECIMAL_COMMA.fullmatch(text):
+            hint = "; by 'decimal', numbers are written with a decimal point"
+        elif decimal != _POINT and "." in text:
+            hint = "; numbers are written with a decimal comma here"
         raise ConfigError(f"{where}: column {column}: must be a finite number (got '{text}'){hint}")
+
+
+def _separator(lines: Sequence[str]) -> str:
+    """What parts the values: in text with decimal commas, not what there is most of."""
+    shown = [line for line in lines[: 2 * _LOOKED_AT] if line.strip()][:_LOOKED_AT]
+    bare = [_QUOTED.sub("", line) for line in shown]
+    if not bare:
+        return _BLANK
+    for separator in ";\t":
+        if all(separator in line for line in bare):
+            return separator
+    rows = [line.split() for line in bare]
+    numbers = [cell for row in rows[-1:] for cell in row]
+    if len(numbers) > 1 and all(map(_is_number_of_any, numbers)) and any("," in cell for cell in numbers):
+        return _BLANK
+    separator = max(_SEPARATORS, key=bare[0].count)
+    return separator if separator in bare[0] else _BLANK
+
+
+def _is_number_of_any(text: str) -> bool:
+    return _is_number(text) or _DECIMAL_COMMA.fullmatch(text) is not None
 
 
 def _text(raw: bytes) -> str:

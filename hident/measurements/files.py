@@ -24,7 +24,9 @@ class _NoSuchFormat(Exception):
     """The file is not what its suffix says."""
 
 
-def read_columns(path: Path, wanted: Sequence[Column], *, blanks: bool = False) -> list[Array]:
+def read_columns(
+    path: Path, wanted: Sequence[Column], *, blanks: bool = False, decimal: str | None = None
+) -> list[Array]:
     """The wanted columns of a file, float64 of shape (N,).
 
     Parameters
@@ -39,6 +41,8 @@ def read_columns(path: Path, wanted: Sequence[Column], *, blanks: bool = False) 
         The names of the columns, or their numbers from 1.
     blanks : bool
         Whether a value may be missing (an empty cell, na or nan): it is nan.
+    decimal : {".", ","}, optional
+        What stands before the decimals of numbers in text; by default what they show.
 
     Raises
     ------
@@ -59,7 +63,8 @@ def read_columns(path: Path, wanted: Sequence[Column], *, blanks: bool = False) 
         if reader is None:
             *rest, last = _READERS
             raise ConfigError(f"{path}: the name must end in {one_of(rest)} or {last}")
-        return _of_one_length(path, wanted, reader(path, wanted, blanks=blanks))
+        of_text = {"decimal": decimal} if reader is read_delimited else {}
+        return _of_one_length(path, wanted, reader(path, wanted, blanks=blanks, **of_text))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
     except (NotText, UnicodeDecodeError, csv.Error, zipfile.BadZipFile, _NoSuchFormat):

@@ -27,7 +27,7 @@ from hident.arrays import Array
 from hident.config.spec import Count, Real, Spec
 from hident.config.suggest import one_of
 from hident.errors import ConfigError
-from hident.measurements.columns import Column
+from hident.measurements.columns import SPLIT, Column
 from hident.measurements.files import SUFFIXES, read_columns
 from hident.measurements.preparation import (
     Samples,
@@ -68,6 +68,10 @@ def _files(value: Any) -> Any:
     return tuple(found)
 
 
+def _codes(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list | tuple) else (value,)
+
+
 def _a_range(text: str) -> str:
     range_of(text)
     return text
@@ -103,6 +107,8 @@ _COLUMN = {"anyOf": [{"type": "string"}, {"type": "integer", "minimum": 1}]}
 Files = Annotated[tuple[str, ...], BeforeValidator(_files), Field(min_length=1), _or_list(_TEXT)]
 Columns = Annotated[tuple[Column, ...], BeforeValidator(_columns), Field(min_length=1), _or_list(_COLUMN)]
 Range = Annotated[str, AfterValidator(_a_range)]
+_NUMBER = {"anyOf": [{"type": "number"}, {"type": "string"}]}
+Codes = Annotated[tuple[Real, ...], BeforeValidator(_codes), _or_list(_NUMBER)]
 
 
 class Selection(Spec):
@@ -185,6 +191,10 @@ class MeasuredRecord(Spec):
     """Interval at which samples at uneven times are interpolated along straight lines."""
     decimate: Annotated[Count, Field(ge=1)] = 1
     """Keeps every so many-th sample behind a filter without phase (FIR, 20 times as long)."""
+    decimal: Literal[".", ","] | None = None
+    """What stands before the decimals of numbers in text files; by default what the numbers show."""
+    missing: Codes = ()
+    """The numbers that the input or the output has where a sample is missing, such as -9999."""
     gaps: Literal["error", "split"] = "error"
     """What a missing sample (an empty cell, na, nan) or a hole in the times is: an error, or a part's end."""
     units: Units = Units()
@@ -257,7 +267,7 @@ class MeasuredRecord(Spec):
 
     def _read(self, folder: Path) -> Record:
         # A range for validation is of the same columns.
-        columns = cache(partial(read_columns, blanks=self.gaps == "split"))
+        columns = cache(partial(read_columns, blanks=self.gaps == "split", decimal=self.decimal))
         experiments = self._experiments(folder, Selection(samples=self.estimation), columns)
         offset = self._offset(experiments)
         record = self._record(experiments, offset)
@@ -314,12 +324,33 @@ class MeasuredRecord(Spec):
             one
             for name, (file, *signals) in zip(_names(chosen), chosen, strict=True)
             for one in self._even(
-                folder / file, columns(folder / file, self._wanted(signals)), name, selection.samples
+                folder / file,
+                self._uncoded(folder / file, signals, columns(folder / file, self._wanted(signals))),
+                name,
+                selection.samples,
             )
         ]
 
     def _wanted(self, signals: Sequence[Column]) -> tuple[Column, ...]:
         return (*signals, *(() if self.time is None else (self.time,)))
+
+    def _uncoded(self, path: Path, signals: Sequence[Column], columns: Sequence[Array]) -> list[Array]:
+        """The columns, nan where a signal has a code for missing samples."""
+        if not self.missing:
+            return list(columns)
+        codes = np.array(self.missing, dtype=float)
+        # A file may hold single precision.
+        codes = np.concatenate([codes, codes.astype(np.float32)])
+        found = list(columns)
+        for i, name in enumerate(signals):
+            there = np.isin(found[i], codes)
+            if there.any() and self.gaps == "error":
+                first = int(np.argmax(there))
+                raise ConfigError(
+                    f"{path}: column '{name}': sample {first + 1} is missing ({found[i][first]:g}){SPLIT}"
+                )
+            found[i] = np.where(there, np.nan, found[i])
+        return found
 
     def _even(
         self, path: Path, columns: Sequence[Array], name: str, samples: str | None
@@ -399,7 +430,7 @@ def read(
     ----------
     path : str or Path, or a list of them
         Text with a sample in each line (CSV, TSV, TXT, DAT: separated by commas, semicolons, tabs or blanks,
-        decimal points), Parquet, NPZ, MAT or HDF5. A list: one file for each experiment.
+        decimal points or commas), Parquet, NPZ, MAT or HDF5. A list: one file for each experiment.
     input, output : str or int, or a list of them
         The columns that hold u and y, in any units, by their names, or by their numbers from 1. A list: one
         for each experiment.
@@ -409,7 +440,7 @@ def read(
         The column of the sampling times, in place of ``dt``; they must be evenly spaced.
     **prepared
         What else a :class:`MeasuredRecord` says: ``estimation``, ``validation``, ``detrend``, ``offset``,
-        ``resample``, ``decimate``, ``gaps``, ``units``.
+        ``resample``, ``decimate``, ``decimal``, ``missing``, ``gaps``, ``units``.
 
     Returns
     -------

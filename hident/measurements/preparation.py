@@ -121,13 +121,11 @@ def at_even_times(samples: Samples, dt: float | None = None) -> Samples:
     t = samples.t
     if t is None:
         return samples
-    if dt is None:
-        return replace(samples, t=None, dt=Record.at(t, samples.u, samples.y).dt)
     if len(t) < 2:
         raise ValueError(f"needs at least 2 samples, not {len(t)}")
-    if len(back := np.flatnonzero(~(np.diff(t) > 0.0))):
-        i = int(back[0])
-        raise ValueError(f"the times do not increase: {t[i + 1]:g} follows {t[i]:g} (sample {i + 2})")
+    _require_increasing(t)
+    if dt is None:
+        return replace(samples, t=None, dt=_even_interval(t))
     # The last sample counts, up to the rounding of its time.
     steps = (t[-1] - t[0]) / dt * (1.0 + 1e-12)
     if not 1.0 <= steps < _FINEST * len(t):
@@ -138,6 +136,49 @@ def at_even_times(samples: Samples, dt: float | None = None) -> Samples:
     even = t[0] + dt * np.arange(count)
     u, y = (np.interp(even, t, signal) for signal in (samples.u, samples.y))
     return replace(samples, u=u, y=y, t=None, dt=dt)
+
+
+def _require_increasing(t: Array) -> None:
+    back = np.flatnonzero(~(np.diff(t) > 0.0))
+    if not len(back):
+        return
+    i = int(back[0])
+    if t[i + 1] == t[i]:
+        remedy = "one of two samples at one time must go"
+    elif len(back) == len(t) - 1:
+        remedy = "the record stands there from its end: turn the lines round"
+    elif np.all(np.diff(np.sort(t)) > 0.0):
+        remedy = "sort the lines by time, if they are of one record"
+    else:
+        remedy = "records that stand one below the other are read by ranges, or from files of their own"
+    more = "" if len(back) == 1 else f", and so at {len(back) - 1} more samples"
+    raise ValueError(
+        f"the times do not increase: {t[i + 1]:.10g} follows {t[i]:.10g} (sample {i + 2}){more}; {remedy}"
+    )
+
+
+def _even_interval(t: Array) -> float:
+    intervals = np.diff(t)
+    usual = float(np.median(intervals))
+    dt = float(t[-1] - t[0]) / len(intervals)
+    worst = int(np.argmax(np.abs(intervals - dt)))
+    if abs(intervals[worst] - dt) <= _SAME * dt:
+        return dt
+    where = f"{t[worst + 1]:.10g} follows {t[worst]:.10g} (sample {worst + 2})"
+    is_hole = intervals > _HOLE * usual
+    rest = intervals[~is_hole]
+    if is_hole.any() and np.all(np.abs(rest - usual) <= _SAME * usual):
+        count = int(np.count_nonzero(is_hole))
+        holes = "a hole" if count == 1 else f"{count} holes"
+        raise ValueError(
+            f"the times are {usual:g} apart and have {holes}: {where}; "
+            "'gaps: split' (--gaps split) ends a part there, "
+            f"'resample' (--resample {usual:.3g}) interpolates"
+        )
+    raise ValueError(
+        f"the times are uneven: {where}, an interval of {intervals[worst]:g}, and {dt:g} on average "
+        f"(allowed: {_SAME:g} of it off); 'resample' (--resample {usual:.3g}) interpolates them"
+    )
 
 
 def means(experiments: Iterable[Samples]) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
@@ -17,6 +18,12 @@ from hident.measurements.signal_values import FEW, Signal
 from hident.records import Record
 
 _SHORT = 200
+# Numbers that programs write where there is no sample: nines, and the ends of the whole numbers.
+_KNOWN_CODE = re.compile(r"9{2,}(\.9+)?|32767|32768|65535|2147483647|2147483648|4294967295")
+_HUGE = 1e20
+# How far outside of the others a code lies, in their range: a known one, and another one.
+_OUTSIDE, _FAR = 1.0, 10.0
+_SEVERAL = 3
 # Correlations with later inputs that are this share of those with earlier ones.
 _AHEAD = 0.5
 # Shares of the range and of the samples, for what stands at an end of the range.
@@ -43,6 +50,11 @@ def suspicions(
         if signal.values == 1:
             yield f"The {what} is constant ({signal.low:g}): nothing can be identified."
     if 1 in (signals[0].values, signals[1].values):
+        return
+    codes = [*_of_codes("input", record.u), *_of_codes("output", record.y)]
+    if codes:
+        # All else would be said of the codes.
+        yield from codes
         return
     yield from _of_excitation(signals[0], excitation)
     yield from _of_delay(found, delay)
@@ -73,6 +85,41 @@ def suspicions(
             shown = one_of(map(str, signal.outliers[:5]))
             more = f" and {len(signal.outliers) - 5} more" if len(signal.outliers) > 5 else ""
             yield f"The {what} is far from the samples around it at sample {shown}{more}: look for outliers."
+
+
+def _of_codes(what: str, x: Array) -> Iterator[str]:
+    """Values that stand for missing samples: exactly repeated, far outside of the others."""
+    found: dict[float, int] = {}
+    while (code := _code(x)) is not None:
+        found[code] = int(np.count_nonzero(x == code))
+        x = x[x != code]
+    if not found:
+        return
+    values = " and ".join(f"{code:.10g} in {count} samples" for code, count in found.items())
+    named = [f"{code:.10g}" for code in found]
+    written = named[0] if len(named) == 1 else f"[{', '.join(named)}]"
+    several = "these look like codes" if len(named) > 1 else "this looks like a code"
+    yield (
+        f"The {what} is {values}, far outside of its other values ({np.min(x):.4g} to {np.max(x):.4g}): "
+        f"{several} for missing samples. 'missing: {written}' with 'gaps: split' (--missing "
+        f"{','.join(named)} --gaps split) leaves them out; what else can be told of the record is told then."
+    )
+
+
+def _code(x: Array) -> float | None:
+    """The value at an end of the range that looks like a code; None if there is none."""
+    for code in (float(np.min(x)), float(np.max(x))):
+        rest = x[x != code]
+        count = len(x) - len(rest)
+        if len(rest) < len(x) / 2 or not (spread := float(np.ptp(rest))) > 0.0:
+            continue
+        away = float(np.min(np.abs(rest - code))) / spread
+        is_known = _KNOWN_CODE.fullmatch(f"{abs(code):.15g}") or abs(code) >= _HUGE
+        # Of a few levels one may lie apart; a code among them must be one that is known.
+        is_told = away > _OUTSIDE if is_known else away > _FAR and len(np.unique(rest)) > FEW
+        if is_told and count >= (1 if is_known and away > _FAR else _SEVERAL):
+            return code
+    return None
 
 
 def _of_excitation(signal: Signal, excitation: Excitation) -> Iterator[str]:

@@ -194,3 +194,27 @@ def test_the_documented_section_runs(tmp_path, monkeypatch):
     exec(code["python"], space)
     record = MeasuredRecord(**yaml.safe_load(code["yaml"])["record"]).read(tmp_path)
     np.testing.assert_array_equal(record.y, space["record"].y - record.offsets["output"])
+
+
+def test_a_spreadsheet_with_decimal_commas_codes_and_gaps_is_read_step_by_step(tmp_path):
+    """Each message names the option that leads on."""
+    u, y = U[:300], Y[:300].copy()
+    y[[50, 51, 200]] = -9999.0
+    rows = (f"{a:.3f};{b:.3f}".replace(".", ",") for a, b in zip(u, y, strict=True))
+    (tmp_path / "ofen.csv").write_text("\r\n".join(["u;y", *rows]), encoding="utf-8")
+    columns = ("ofen.csv", "--input", "u", "--output", "y")
+    said = " ".join(show(tmp_path, *columns).stdout.split())
+    assert "-9999 in 3 samples" in said
+    assert "(--missing -9999 --gaps split)" in said
+    refused = show(tmp_path, *columns, "--missing", "-9999")
+    assert refused.stderr == (
+        "error: ofen.csv: column 'y': sample 51 is missing (-9999); "
+        "'gaps: split' (--gaps split) ends a part at a missing sample\n"
+    )
+    ended = show(tmp_path, *columns, "--missing", "-9999,-999", "--gaps", "split", "--decimal", ",")
+    assert ended.stdout.startswith("ofen.csv: 297 samples in 3 experiments\n")
+    assert "missing samples" not in ended.stdout
+    refused = show(tmp_path, *columns, "--decimal", "x")
+    assert refused.stderr == "error: --decimal: must be '.' or ',' (got 'x')\n"
+    refused = show(tmp_path, *columns, "--missing", "none")
+    assert refused.stderr.startswith("error: --missing: must be a number")

@@ -297,3 +297,35 @@ def test_public_records_are_seen_through(file, input_, output, said):
     import hident as hi
 
     assert said in " ".join(hi.first_look(hi.read(measured(file), input=input_, output=output)).wrong)
+
+
+@pytest.mark.parametrize("code", [-9999.0, 9999.0, -999.0, 1e30, 32767.0, 555.0])
+def test_a_code_for_missing_samples_is_called_one_and_nothing_else(code):
+    u, y = simulated()
+    y[[50, 51, 300]] = code
+    [said] = look(u, y).wrong
+    assert said.startswith(f"The output is {code:.10g} in 3 samples, far outside of its other values (")
+    assert "looks like a code for missing samples" in said
+    assert f"(--missing {code:.10g} --gaps split)" in said
+
+
+def test_two_codes_in_one_signal_and_one_in_the_other():
+    u, y = simulated()
+    y[[50, 51, 52]], y[[60, 70, 80]], u[9] = -9999.0, -999.0, 1e30
+    of_input, of_output = look(u, y).wrong
+    assert "The input is 1e+30 in 1 samples" in of_input
+    assert "'missing: [-9999, -999]' with 'gaps: split' (--missing -9999,-999 --gaps split)" in of_output
+
+
+@pytest.mark.parametrize(
+    "spoilt",
+    [
+        lambda u, y: (np.round(u) * 99.0, y),
+        lambda u, y: (np.where(u > 1.0, 50.0, np.sign(u)), y),
+        lambda u, y: (u, np.clip(y, -1.0, 1.0)),
+        lambda u, y: (u, np.where(np.arange(len(y)) == 9, 300.0, y)),
+        lambda u, y: (u, 9999.0 + y),
+    ],
+)
+def test_what_is_no_code(spoilt):
+    assert "code" not in " ".join(look(*spoilt(*simulated())).wrong)

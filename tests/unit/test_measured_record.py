@@ -8,6 +8,7 @@ import pytest
 import hident as hi
 from hident.config.spec import canonical
 from hident.errors import ConfigError
+from hident.measurements.columns import SPLIT
 from hident.measurements.measured_record import MeasuredRecord
 from tests.shared_data import measured
 
@@ -74,12 +75,29 @@ def test_gaps_end_parts_when_asked(folder):
         "gap 1": slice(0, 2),
         "gap 2": slice(2, 4),
     }
-    assert refused(folder, file="gap.csv") == "gap.csv:4: column 'u1': must be a finite number (got '')"
+    assert (
+        refused(folder, file="gap.csv") == f"gap.csv:4: column 'u1': must be a finite number (got ''){SPLIT}"
+    )
     (folder / "gap.csv").write_text("u1,y1\n1,\n")
     assert (
         refused(folder, file="gap.csv", gaps="split")
         == "gap.csv: holds no two samples without a gap between them"
     )
+
+
+def test_codes_for_missing_samples_are_gaps(folder):
+    (folder / "code.csv").write_text("u1,y1\n1,2\n3,4\n5,-9999\n6,7\n1e30,9\n10,11\n12,13\n")
+    coded = {"file": "code.csv", "missing": [-9999, "1e30"]}
+    record = spec(**coded, gaps="split").read(folder)
+    assert (record.u.tolist(), record.y.tolist()) == ([1, 3, 10, 12], [2, 4, 11, 13])
+    assert list(record.parts) == ["code 1", "code 2"]
+    assert refused(folder, **coded) == (f"code.csv: column 'u1': sample 5 is missing (1e+30){SPLIT}")
+    single = np.array([1, 2, 1e30, 3, 4], dtype=np.float32)
+    np.savez(folder / "single.npz", u1=single, y1=single[::-1])
+    assert len(spec(file="single.npz", missing=1e30, gaps="split").read(folder).parts) == 2
+    # Times may come to any number.
+    (folder / "times.csv").write_text("t,u1,y1\n9998,1,2\n9999,2,3\n10000,3,4\n")
+    assert len(spec(file="times.csv", time="t", missing=9999, gaps="split").read(folder)) == 3
 
 
 @pytest.mark.parametrize(
@@ -122,7 +140,7 @@ def test_an_offset_a_line_and_decimation(folder):
 def test_uneven_times_are_interpolated_only_when_asked(folder):
     (folder / "uneven.csv").write_text("t,u1,y1\n0,0,5\n1,1,5\n3,3,5\n4,4,5\n")
     assert refused(folder, file="uneven.csv", time="t").startswith(
-        "uneven.csv: column 't': the sampling is not uniform: from t = 1 to 3 the interval is 2"
+        "uneven.csv: column 't': the times are 1 apart and have a hole: 3 follows 1 (sample 3); 'gaps: split'"
     )
     record = spec(file="uneven.csv", time="t", resample=0.5).read(folder)
     assert (record.dt, record.u.tolist()) == (0.5, [0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5, 4])

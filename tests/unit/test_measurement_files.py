@@ -7,6 +7,7 @@ import pytest
 from scipy.io import savemat
 
 from hident.errors import ConfigError
+from hident.measurements.columns import SPLIT
 from hident.measurements.files import SUFFIXES, read_columns
 
 U, Y = np.random.default_rng(8).normal(size=(2, 50))
@@ -61,7 +62,7 @@ def test_a_name_goes_before_a_number_in_a_text(tmp_path):
 def test_what_is_not_asked_for_may_be_missing(tmp_path):
     path = written(tmp_path, '"u","y","Ts",\n1,2,4,\n3,4,,\n5,6,,\n')
     assert columns(path, "u", "y") == [[1.0, 3.0, 5.0], [2.0, 4.0, 6.0]]
-    assert said(path, ["Ts", "y"]) == ":3: column 'Ts': must be a finite number (got '')"
+    assert said(path, ["Ts", "y"]) == f":3: column 'Ts': must be a finite number (got ''){SPLIT}"
 
 
 def test_names_may_hold_separators_and_letters_of_old_programs(tmp_path):
@@ -192,17 +193,59 @@ def test_without_pyarrow_a_message_says_what_to_install(tmp_path, monkeypatch):
             f":2{NO_NUMBER} (got 'u'); the names of the columns stand here once more",
         ),
         ("u,y\n[V],[m]\n1,2\n", ["u", "y"], ":2: column 'u': must be a finite number (got '[V]')"),
-        (
-            "u;y\n1,5;2,5\n",
-            ["u", "y"],
-            f":2{NO_NUMBER} (got '1,5'); numbers are written with a decimal point",
-        ),
         ("u,y\n1e400,2\n", ["u", "y"], ":2: column 'u': must be a finite number (got '1e400')"),
         ("u,y\n1+2j,2\n", ["u", "y"], ":2: column 'u': must be a finite number (got '1+2j')"),
     ],
 )
 def test_what_is_wrong_with_text(tmp_path, text, wanted, message):
     assert said(written(tmp_path, text), wanted) == message
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "u;y\n1,5;2,3\n-0,25;1e1\n3;,5\n",
+        "u\ty\n1,5\t2,3\n-0,25\t1e1\n3\t,5\n",
+        "u y\n1,5 2,3\n-0,25 1e1\n3,0 ,5\n",
+        'u,y\n"1,5","2,3"\n"-0,25","1e1"\n"3",",5"\n',
+        "1,5;2,3\n-0,25;1e1\n3,0;0,5\n",
+        "\ufeffu;y;Datum\r\n1,5;2,3;01.02.2024 10:00\r\n-0,25;10;x.y\r\n3;0,5;\r\n",
+    ],
+)
+def test_decimal_commas_are_read_where_they_cannot_be_anything_else(tmp_path, text):
+    path = written(tmp_path, text)
+    expected = [[1.5, -0.25, 3.0], [2.3, 10.0, 0.5]]
+    assert columns(path, 1, 2) == expected
+    assert columns(path, 1, 2, decimal=",") == expected
+
+
+def test_a_german_table_has_the_values_of_the_english_one(tmp_path):
+    rows = [(repr(u), repr(y)) for u, y in zip(U.tolist(), Y.tolist(), strict=True)]
+    lines = ["Ventil [%];Temperatur [°C]", *(f"{u};{y}".replace(".", ",") for u, y in rows)]
+    path = written(tmp_path, "\r\n".join([*lines, ""]).encode("cp1252"))
+    assert_read(path, "Ventil [%]", "Temperatur [°C]")
+    gap = written(tmp_path, "u;y\n1,5;2,3\n#NV;1,0\n", "gap.csv")
+    np.testing.assert_array_equal(read_columns(gap, ["u"], blanks=True)[0], [1.5, np.nan])
+
+
+def test_a_comma_that_may_be_one_of_thousands_is_asked_about(tmp_path):
+    path = written(tmp_path, "u;y\n98,628;7\n99,123;8\n")
+    assert said(path) == (
+        ":2: '98,628' may be 98.628 or 98628: if the comma stands before decimals, "
+        "say so by 'decimal: \",\"' (--decimal ,)"
+    )
+    assert columns(path, "u", "y", decimal=",") == [[98.628, 99.123], [7.0, 8.0]]
+    assert said(path, decimal=".") == (
+        f":2{NO_NUMBER} (got '98,628'); by 'decimal', numbers are written with a decimal point"
+    )
+    # One number tells.
+    assert columns(written(tmp_path, "u;y\n98,628;7\n0,123;8\n"), "u") == [[98.628, 0.123]]
+
+
+@pytest.mark.parametrize("number", ["1.5", "1.234,5"])
+def test_points_and_commas_together_are_refused(tmp_path, number):
+    path = written(tmp_path, f"u;y\n1,5;2,3\n{number};1,0\n")
+    assert said(path) == f":3{NO_NUMBER} (got '{number}'); numbers are written with a decimal comma here"
 
 
 def test_of_many_columns_a_message_names_some(tmp_path):

@@ -93,7 +93,25 @@ def test_the_error_of_interpolation_falls_with_the_square_of_the_interval():
 @pytest.mark.parametrize(
     ("t", "dt", "message"),
     [
-        ([0, 1, 3], None, "the sampling is not uniform"),
+        (
+            [0, 1, 2.2, 3],
+            None,
+            r"the times are uneven: 2\.2 follows 1 .sample 3., .* 'resample' .--resample 1. ",
+        ),
+        (
+            [0, 1, 2, 5, 6, 9],
+            None,
+            r"are 1 apart and have 2 holes: 5 follows 2 .sample 4.; .* .--gaps split. ",
+        ),
+        ([0, 1, 2, 9, 10], None, "are 1 apart and have a hole: 9 follows 2 .sample 4.; 'gaps: split' "),
+        (
+            [0, 1, 2, 1, 2, 3],
+            None,
+            "1 follows 2 .sample 4.; records that stand one below the other are read by",
+        ),
+        ([0, 1, 3, 2, 4], None, "2 follows 3 .sample 4.; sort the lines by time, if they are of one record"),
+        ([3, 2, 1], None, "2 follows 3 .sample 2., and so at 1 more samples; .*: turn the lines round"),
+        ([0, 1, 1, 2], None, "1 follows 1 .sample 3.; one of two samples at one time must go"),
         ([0, 1, 1], 0.5, "the times do not increase: 1 follows 1 .sample 3."),
         ([0, 2, 1], 0.5, "the times do not increase: 1 follows 2 .sample 3."),
         ([0, 1, 3], 4, "3 samples over a time of 3 cannot be interpolated at intervals of 4"),
@@ -102,7 +120,7 @@ def test_the_error_of_interpolation_falls_with_the_square_of_the_interval():
 )
 def test_times_that_cannot_be_made_even(t, dt, message):
     with pytest.raises(ValueError, match=message):
-        at_even_times(samples([1, 2, 3], t=np.array(t, dtype=float)), dt)
+        at_even_times(samples(np.arange(len(t)), t=np.array(t, dtype=float)), dt)
 
 
 def test_means_are_of_all_experiments():
