@@ -19,6 +19,7 @@ _LAGS_OF_DELAY = 200
 _CHANCE = 0.01
 # A correlation below this share of the largest one does not count as the first.
 _MATERIAL = 0.2
+_BY_CHANCE = 4.0
 
 
 @dataclass(frozen=True)
@@ -38,14 +39,14 @@ class Delay:
 class Correlation:
     """Cross-correlations r(k) of the output at t with the input at t - k, each whitened by its own filter.
 
-    ``lags`` and ``values`` have the shape (K,); ``bound`` is what noise exceeds at no lag, at 99 %.
+    ``lags``, ``values`` and ``bound`` have the shape (K,); noise exceeds the bound at no lag, at 99 %.
     ``innovations`` is how many samples of equal size would be as many as the whitened input has: few, if it
     jumps seldom.
     """
 
     lags: NDArray[np.int64]
     values: Array
-    bound: float
+    bound: Array
     innovations: float
     method: str
 
@@ -76,18 +77,28 @@ def _prewhitened(x: Array, y: Array, parts: Parts, what: str) -> Correlation | N
     driving, p = _whitened(x - np.mean(x), parts, most)
     driven, q = _whitened(y - np.mean(y), parts, most)
     last = min(_LAGS_OF_DELAY, (shortest - most) // 4)
-    sums = np.zeros(2 * last + 1)
-    for a, b in zip(driving, driven, strict=True):
-        full = correlate(b, a, "full", "fft" if len(a) > 500 else "direct")
-        sums += full[len(a) - 1 - last : len(a) + last]
+
+    def summed(power: int) -> Array:
+        """Sums of products of the signals to a power, at all lags."""
+        sums = np.zeros(2 * last + 1)
+        for a, b in zip(driving, driven, strict=True):
+            full = correlate(b**power, a**power, "full", "fft" if len(a) > 500 else "direct")
+            sums += full[len(a) - 1 - last : len(a) + last]
+        return sums
+
     inputs, outputs = np.concatenate(driving), np.concatenate(driven)
-    size = math.sqrt(float(inputs @ inputs)) * math.sqrt(float(outputs @ outputs))
-    if not size > 0.0:
+    energy = float(inputs @ inputs) * float(outputs @ outputs)
+    if not energy > 0.0:
         return None
-    bound = _normal(2 * last + 1) / math.sqrt(len(inputs))
+    size = math.sqrt(energy)
     innovations = float(inputs @ inputs) ** 2 / float(np.sum(inputs**4))
+    # Where both signals jump, by a held input, a correlation is a sum of few products at some lags. How few
+    # is seen at negative lags, at which nothing is caused; the largest of few large squares is so by chance.
+    together = len(inputs) * summed(2) / energy
+    most = np.max(together[:last], initial=1.0) / (1.0 + _BY_CHANCE * math.sqrt(2.0 / innovations))
+    bound = _normal(2 * last + 1) * np.sqrt(np.clip(together, 1.0, max(most, 1.0)) / len(inputs))
     method = f"cross-correlation with the {what}, prewhitened by autoregressions of orders {p} and {q}"
-    return Correlation(np.arange(-last, last + 1), sums / size, bound, innovations, method)
+    return Correlation(np.arange(-last, last + 1), summed(1) / size, bound, innovations, method)
 
 
 def _whitened(x: Array, parts: Parts, most: int) -> tuple[list[Array], int]:
@@ -128,11 +139,12 @@ def delay(found: Correlation) -> Delay | None:
     high = first(found)
     if high is None:
         return None
-    size = np.abs(found.values[found.lags >= 0])
+    later = found.lags >= 0
+    size, bound = np.abs(found.values[later]), found.bound[later]
     # Only the lags up to that one are in question.
-    narrower = found.bound * _normal(high + 1) / _normal(len(found.lags))
+    narrower = bound * _normal(high + 1) / _normal(len(found.lags))
     low = int(np.flatnonzero(size + narrower >= _MATERIAL * np.max(size))[0])
-    if found.bound < _MATERIAL * np.max(size):
+    if len(counting := np.flatnonzero(size - bound >= _MATERIAL * np.max(size))):
         # Where the bound is small, what is surely there may still be too small to count.
-        high = max(high, int(np.flatnonzero(size - found.bound >= _MATERIAL * np.max(size))[0]))
+        high = max(high, int(counting[0]))
     return Delay(low, max(low, high), found.method)

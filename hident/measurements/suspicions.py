@@ -155,11 +155,11 @@ def _of_delay(found: Correlation | None, delay: Delay | None) -> Iterator[str]:
         return
     if delay is None:
         yield "The output is not correlated with the input or its square: are these the right columns?"
-    before = float(np.max(np.abs(found.values[found.lags < 0]), initial=0.0))
-    after = float(np.max(np.abs(found.values[found.lags >= 0])))
+    size = np.abs(found.values)
+    after = float(np.max(size[found.lags >= 0]))
     # Where the input jumps seldom, its jumps go together by chance.
     by_chance = 4.0 / math.sqrt(found.innovations)
-    if before > max(found.bound, by_chance * after, _AHEAD * after):
+    if np.any((size > np.maximum(found.bound, max(by_chance, _AHEAD) * after))[found.lags < 0]):
         yield (
             "The output is correlated with later inputs: is there feedback, or are the input and the output "
             "exchanged?"

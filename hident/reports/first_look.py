@@ -118,7 +118,8 @@ def _spectrum(axes: Axes, record: Record, signal: Array) -> None:
 def _correlation(found: Correlation, delay: Delay | None) -> Figure:
     figure, axes = subplots(figsize=(6.4, 2.8))
     axes.vlines(found.lags, 0.0, found.values, color=LINES[0]["color"], linewidth=1.0)
-    axes.axhspan(-found.bound, found.bound, color="0.85", zorder=0, label="none, at 99 %")
+    band = {"color": "0.85", "zorder": 0, "linewidth": 0.0, "step": "mid"}
+    axes.fill_between(found.lags, -found.bound, found.bound, label="none, at 99 %", **band)
     if delay is not None:
         low, high = delay.low, delay.high
         label = f"delay: {low}" if low == high else f"delay: {low} to {high}"

@@ -83,6 +83,23 @@ def test_more_noise_or_a_slow_response_widen_the_interval():
     assert slow.high > slow.low
 
 
+@pytest.mark.parametrize("saturates", ["input", "output"])
+@pytest.mark.parametrize("held", [4, 8, 20])
+@pytest.mark.parametrize("delay", [0, 5, 15, 40])
+def test_the_delay_behind_a_held_input_is_within_its_interval(delay, held, saturates):
+    """Both signals jump together at some lags: chance correlations are larger there."""
+
+    def found(seed):
+        draw = rng(seed)
+        u = np.repeat(draw.uniform(-2, 2, 2000 // held), held)
+        x = np.clip(u, -1.0, 1.2) if saturates == "input" else u
+        y = lfilter([0.0] * delay + [0.2], [1.0, -1.2, 0.4], x)
+        y = np.clip(y, -1.0, 1.2) if saturates == "output" else y
+        return look(u, y + 0.02 * draw.normal(size=2000)).delay
+
+    assert all(one.low <= delay <= one.high for one in map(found, range(10)))
+
+
 def test_the_square_of_the_input_tells_the_delay_of_an_even_function():
     u, y = simulated(f=np.abs, delay=3, pole=0.0, colour=0.3)
     found = look(u, y)
