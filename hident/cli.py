@@ -760,6 +760,10 @@ def identify(
         str,
         typer.Option(metavar="settled|rest", help="Before a record: its first input for ever, or nothing."),
     ] = "settled",
+    delay: Annotated[
+        int | None,
+        typer.Option(min=0, metavar="N", help="The delay in samples; by default from correlation and fits."),
+    ] = None,
     bootstraps: Annotated[
         int,
         typer.Option("--bootstrap", min=0, help="Fit the model again so often, for bands in the figures."),
@@ -778,6 +782,7 @@ def identify(
         by,
         n_init,
         start,
+        delay,
         bootstraps,
         out,
         input=input_,

@@ -17,6 +17,7 @@ import yaml
 from hident import __version__
 from hident.arrays import Array
 from hident.block_chain import Block, Start
+from hident.commands.looking import delay_in_words
 from hident.commands.measured import record_of
 from hident.commands.models import draw_model, save_figure
 from hident.commands.showing import print_columns
@@ -29,6 +30,7 @@ from hident.identification.bootstrap import Bootstrap, bootstrap
 from hident.identification.candidates import STRUCTURES
 from hident.identification.identify import By, Identification, Trial, identify
 from hident.linear_blocks import TransferFunction
+from hident.measurements.first_look import first_look
 from hident.measurements.measured_record import MeasuredRecord
 from hident.models.formulas import formulas
 from hident.models.model_file import write_model
@@ -55,6 +57,7 @@ def identify_file(
     by: str,
     n_init: int | None,
     start: str,
+    delay: int | None,
     bootstraps: int,
     out: Path | None,
     **options: Any,
@@ -83,6 +86,9 @@ def identify_file(
     made_folder(folder)
     begun = time.monotonic()
     pin_blas()
+    wrong = [*_wrong(record)]
+    for sentence in wrong:
+        print(f"warning: {sentence}", file=sys.stderr)
     try:
         found = identify(
             record,
@@ -90,6 +96,7 @@ def identify_file(
             by=cast(By, by),
             n_init=n_init,
             start=cast(Start, start),
+            delay=delay,
             tell=_Progress(begun),
         )
         model = _model(found, record, spec)
@@ -99,13 +106,20 @@ def identify_file(
     finally:
         _clear()
     residuals, verdict = _judged(found)
-    lines = list(_said(found, model, verdict, again))
+    lines = list(_said(found, record, model, verdict, again, delay))
     print_columns(_rows(found, record, _SHOWN_OF_EACH))
     for line in lines:
         print(line)
     print(formulas(model))
-    written = _write(folder, found, record, spec, model, lines, residuals, again)
+    written = _write(folder, found, record, spec, model, wrong, lines, residuals, again)
     print(f"\n{folder}: {', '.join(written)} ({time.monotonic() - begun:.0f} s)")
+
+
+def _wrong(record: Record) -> Iterator[str]:
+    """What `hident show` says is wrong with the record, and with that for validation."""
+    yield from first_look(record).wrong
+    if record.validation is not None:
+        yield from (f"For validation: {sentence}" for sentence in first_look(record.validation).wrong)
 
 
 def _judged(found: Identification) -> tuple[Residuals | None, Sequence[str]]:
@@ -263,7 +277,12 @@ def _numbers(block: Block) -> dict[str, float]:
 
 
 def _said(
-    found: Identification, model: FittedModel, verdict: Sequence[str], again: Bootstrap | None
+    found: Identification,
+    record: Record,
+    model: FittedModel,
+    verdict: Sequence[str],
+    again: Bootstrap | None,
+    delay: int | None,
 ) -> Iterator[str]:
     shown = sum(one.fit is not None for one in found.trials)
     yield ""
@@ -272,6 +291,9 @@ def _said(
         f"{len(found.trials)} chains tried, {shown} fitted; chosen by {by} {found.parts.said}, "
         f"without the first {found.parts.everything.n_init} samples of what is fitted"
     )
+    in_chain = sum(canonical(block).get("nk", 0) for block in found.chosen.spec.blocks)
+    as_given = "" if delay is None else ", as given"
+    yield f"delay: {delay_in_words(found.delay, record)}; {in_chain} in the chosen chain{as_given}"
     yield from found.notes
     reasons: dict[str, list[str]] = {}
     for one in found.trials:
@@ -306,6 +328,7 @@ def _write(
     record: Record,
     spec: MeasuredRecord,
     model: FittedModel,
+    wrong: Sequence[str],
     lines: Sequence[str],
     residuals: Residuals | None,
     again: Bootstrap | None,
@@ -321,7 +344,8 @@ def _write(
         table = ["| " + " | ".join(row) + " |" for row in rows]
         table.insert(1, "| " + " | ".join("---" for _ in rows[0]) + " |")
         page = ["```", formulas(model), "```", "", *(f"![{Path(name).stem}]({name})" for name in pictures)]
-        new.write_text("\n".join([*head, *table, *lines, *page, ""]), encoding="utf-8")
+        known = ["", "What to know of the record:", *(f"- {sentence}" for sentence in wrong)] if wrong else []
+        new.write_text("\n".join([*head, *table, *known, *lines, *page, ""]), encoding="utf-8")
     return ["model.json", "table.md", "experiment.yaml", *pictures]
 
 

@@ -14,6 +14,7 @@ from hident.commands.measured import record_of
 from hident.commands.showing import print_columns
 from hident.config.suggest import one_of
 from hident.errors import ConfigError, Exit, StoreError
+from hident.measurements.delay import Delay
 from hident.measurements.excitation import CONDITION
 from hident.measurements.files import SUFFIXES
 from hident.measurements.first_look import FirstLook, first_look
@@ -59,7 +60,7 @@ def _print_look(record: Record, look: FirstLook, title: str) -> None:
         ends = f"{signal.low:g} .. {signal.high:g} {unit}".rstrip()
         rows.append((name, ends, f"{signal.mean:.4g}", f"{signal.std:.4g}", _values(signal)))
     print_columns(rows)
-    print(f"delay: {_delay(look, record)}")
+    print(f"delay: {delay_in_words(look.delay, record)}")
     print("a nonlinearity over so many lags: condition number of the regressors")
     head = ("  degree", *(f"{lags} lag{'s' * (lags > 1)}" for lags in look.excitation.lags), "")
     table = zip(look.excitation.degrees, look.excitation.condition, strict=True)
@@ -76,10 +77,11 @@ def _values(signal: Signal) -> str:
     return f"{signal.values} different{step}" if signal.values > FEW else str(signal.values)
 
 
-def _delay(look: FirstLook, record: Record) -> str:
-    if look.delay is None:
+def delay_in_words(delay: Delay | None, record: Record) -> str:
+    """A delay with its interval, in samples and in time, and how it was found."""
+    if delay is None:
         return "none is found: no correlation of the output with the input"
-    low, high = look.delay.low, look.delay.high
+    low, high = delay.low, delay.high
     said = f"{low}" if low == high else f"{low} to {high}"
     if record.dt is not None:
         unit = record.units.get("time", "")
@@ -87,7 +89,7 @@ def _delay(look: FirstLook, record: Record) -> str:
         said = f"{said} samples ({' to '.join(seconds)} {unit}".rstrip() + ")"
     else:
         said += " samples"
-    return f"{said}, by the {look.delay.method}"
+    return f"{said}, by the {delay.method}"
 
 
 def _condition(value: float) -> str:

@@ -130,14 +130,14 @@ def chain(
     return spec
 
 
-def orders_of(structure: str, n: int, lag: int) -> list[Orders]:
+def orders_of(structure: str, n: int, lag: int, *, is_sure: bool = False) -> list[Orders]:
     """The orders of the linear blocks for a linear approximation of order n that surely answers at a lag.
 
     A sampled block of n poles has n coefficients from the lag on, and one more where it acts at once. A delay
-    of more than one sample is never sure: three lags before it are left to the fit. Two blocks share the
-    poles, with one more each, as complex ones come in pairs; the last holds the delay.
+    of more than one sample is not sure unless it is given: three lags before it are left to the fit. Two
+    blocks share the poles, with one more each, as complex ones come in pairs; the last holds the delay.
     """
-    nk = lag if lag <= 1 else max(lag - _UNSURE, 0)
+    nk = lag if lag <= 1 or is_sure else max(lag - _UNSURE, 0)
     if STRUCTURES[structure].count("L") == 1:
         return [Orders(n + (lag - nk if lag else 1), n, nk)]
     half = (n + 1) // 2 + 1

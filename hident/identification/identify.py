@@ -20,7 +20,7 @@ from hident.estimators.prediction_error.prediction_error import PredictionError
 from hident.identification.candidates import STRUCTURES, Functions, Orders, chain, orders_of
 from hident.identification.continuation import continued, resumed
 from hident.identification.split import Split, split
-from hident.measurements.delay import correlation, delay
+from hident.measurements.delay import Delay, delay_of
 from hident.numerics.choices import first_least, standard_error, within_one_standard_error
 from hident.numerics.information_criteria import aic, bic
 from hident.numerics.judgement import Residuals, judgement
@@ -40,6 +40,8 @@ _CLOSE = 1.03
 _MOST_LINEAR, _MORE_LINEAR, _MANY = 4, 8, 5000
 # Beyond the first few, linear models grow until so many orders in a row have gained nothing.
 _NO_GAIN = 2
+# Delays are compared by linear models with so many coefficients and poles; so many steps over the interval.
+_NEAR_DELAY, _STEPS = 2, 8
 # So many standard errors are no chance.
 _SURELY = 3.0
 
@@ -99,7 +101,8 @@ class Identification:
     places) and that are not surely worse on those that are fitted; or the one with the least criterion, as
     ``by`` says.
     ``model_fit`` is its fit to all samples, ``parts`` what it was chosen by, ``functions`` are the static
-    functions that were tried, and ``notes`` say what was not and why.
+    functions that were tried, and ``notes`` say what was not and why. ``delay`` is that which the correlation
+    of input and output tells, None if there is none.
     """
 
     trials: tuple[Trial, ...]
@@ -110,6 +113,7 @@ class Identification:
     by: By
     functions: Functions
     notes: tuple[str, ...] = ()
+    delay: Delay | None = None
 
     def estimate(self, record: Record) -> Estimate:
         """The chosen model, fitted to all of the record."""
@@ -135,6 +139,7 @@ def identify(
     by: By = "validation",
     n_init: int | None = None,
     start: Start = "settled",
+    delay: int | None = None,
     tell: Callable[[Trial], None] = lambda trial: None,
 ) -> Identification:
     """Try structures on a record.
@@ -152,6 +157,9 @@ def identify(
         First samples of each experiment that are not fitted; by default 250, or a twentieth of the shortest.
     start : {"settled", "rest"}
         What was before the record: its first input for ever, or nothing.
+    delay : int, optional
+        The delay of the chains, in samples, at its last linear block; by default the correlation of input and
+        output and the fits tell it.
     tell : callable
         Is given each trial when it is done.
 
@@ -178,26 +186,42 @@ def identify(
     require_usable(record)
     # On matrices of a few rows, BLAS's threads take several times the processor time of one.
     with threadpool_limits(1):
-        return _Search(split(record, n_init, start), by, tell).identified(structures)
+        return _Search(split(record, n_init, start), by, tell, delay_of(record)[1], delay).identified(
+            structures
+        )
 
 
 class _Search:
     """What has been tried on a record so far, and what decides."""
 
-    def __init__(self, parts: Split, by: By, tell: Callable[[Trial], None]) -> None:
+    def __init__(
+        self,
+        parts: Split,
+        by: By,
+        tell: Callable[[Trial], None],
+        delay: Delay | None = None,
+        given: int | None = None,
+    ) -> None:
         if parts.estimation.count < _FEWEST or len(parts.output) < _FEWEST:
             raise EstimationError(
                 f"{parts.estimation.count} samples to fit and {len(parts.output)} to choose by are too few: "
                 f"at least {_FEWEST} of each, beside the first {parts.everything.n_init} samples"
             )
+        shortest = min(part.stop - part.start for part in parts.estimation.experiments)
+        if given is not None and shortest - given < _FEWEST:
+            raise EstimationError(
+                f"a delay of {given} samples is too long: the shortest experiment has {shortest} to fit"
+            )
         self.parts, self.by, self._tell = parts, by, tell
         self.trials: list[Trial] = []
         self.short = parts.estimation.busiest(_COMPARED)
-        self.lag = first_lag(self.short)
+        self.is_long = len(self.short.u) < len(parts.estimation.u)
+        self.delay, self.given = delay, given
         self.functions = Functions.of_input(parts.estimation.u)
 
     def identified(self, structures: Sequence[str]) -> Identification:
-        n = self._linear_order()
+        self.lag = self._lag()
+        n = self._linear_order(is_asked="linear" in structures)
         for structure in structures:
             if structure != "linear" and self.functions.of(structure):
                 self._grow(structure, n)
@@ -206,8 +230,7 @@ class _Search:
             reasons = [*self.functions.notes(structures), *(one.reason for one in self.trials if one.reason)]
             reason = next(iter(reasons), "no structure was asked for")
             raise EstimationError(f"nothing could be fitted: {reason}")
-        is_long = len(self.short.u) < len(self.parts.estimation.u)
-        chosen = self._whole(wanted) if is_long else self._pruned(wanted)
+        chosen = self._whole(wanted) if self.is_long else self._pruned(wanted)
         fit = chosen.fit
         assert fit is not None
         if self.parts.everything is not self.parts.estimation:
@@ -217,12 +240,42 @@ class _Search:
         within = frozenset(i for i, one in enumerate(self.trials) if one in near)
         notes = self.functions.notes(structures)
         trials = tuple(self.trials)
-        return Identification(trials, within, chosen, fit, self.parts, self.by, self.functions, notes)
+        return Identification(
+            trials, within, chosen, fit, self.parts, self.by, self.functions, notes, self.delay
+        )
 
     def _wanted(self, structures: Sequence[str]) -> list[Trial]:
         return [one for one in self.trials if one.fit is not None and one.structure in structures]
 
-    def _linear_order(self) -> int:
+    def _lag(self) -> int:
+        """The least lag, in the interval of the delay, of a linear model that is hardly worse than the best.
+
+        A step of an eighth of the interval, then of half of that around the best, and so on.
+        """
+        if self.given is not None:
+            return self.given
+        if self.delay is None:
+            return 0
+        low, high = self.delay.low, self.delay.high
+        few = self.short.busiest(_ORDERS)
+        tried: dict[int, Trial] = {}
+        step = max(1, -(-(high - low) // _STEPS))
+        lags = {*range(low, high, step), high}
+        while len(lags) > 1 or step > 1:
+            for lag in sorted(lags - tried.keys()):
+                spec = self._chain("linear", [Orders(_NEAR_DELAY, _NEAR_DELAY, lag)])
+                tried[lag] = self._fitted("linear", spec, few, _LINEAR_STARTS)
+            fitted = {lag: one for lag, one in tried.items() if one.fit is not None}
+            if not fitted:
+                return low
+            least = min(fitted, key=lambda lag: (fitted[lag].worth(self.by), lag))
+            if step == 1:
+                return min(lag for lag, one in fitted.items() if one in self._close([*fitted.values()]))
+            step = -(-step // 2)
+            lags = {lag for lag in (least - step, least + step) if low <= lag <= high}
+        return low
+
+    def _linear_order(self, *, is_asked: bool) -> int:
         """The order of the linear model that is chosen."""
         highest = _MORE_LINEAR if len(self.short.u) >= _MANY else _MOST_LINEAR
         few = self.short.busiest(_ORDERS)
@@ -232,15 +285,38 @@ class _Search:
             worth = [one.worth(self.by) for one in linear]
             if n > _MOST_LINEAR and n - 1 - int(np.argmin(worth)) >= _NO_GAIN:
                 break
-        return 1 + linear.index(simplest(linear, self.by)) if any(one.fit for one in linear) else 2
+        if not any(one.fit for one in linear):
+            return 2
+        chosen = simplest(linear, self.by)
+        if is_asked:
+            self._tightened(chosen, few)
+        return 1 + linear.index(chosen)
 
     def _chain(
         self, structure: str, n: int | Sequence[Orders], *static: Mapping[str, Any]
     ) -> PredictionError:
         """The chain of a structure with these orders, or those for a linear approximation of order n."""
-        orders = orders_of(structure, n, self.lag) if isinstance(n, int) else n
+        orders = self._orders(structure, n, self.lag) if isinstance(n, int) else n
         everything = self.parts.everything
         return chain(structure, orders, static, n_init=everything.n_init, start=everything.start)
+
+    def _orders(self, structure: str, n: int, lag: int) -> list[Orders]:
+        return orders_of(structure, n, lag, is_sure=self.given is not None)
+
+    def _tightened(self, start: Trial, data: Data) -> Trial:
+        """The trial with the largest delay, inside the interval, that loses nothing by fewer coefficients."""
+        if self.given is not None or self.delay is None:
+            return start
+        *_, last = _orders(start.spec)
+        if max(self.lag, last.nk) <= 1:
+            return start
+        for nk in range(self.delay.high, last.nk, -1):
+            if (spec := _later(start.spec, nk)) is None:
+                continue
+            one = self._fitted(start.structure, spec, data)
+            if self._fewest_of_close([start, one]) is one:
+                return one
+        return start
 
     def _grow(self, structure: str, n: int) -> None:
         """Orders around the linear ones with one static function, then others with the best of them."""
@@ -252,7 +328,7 @@ class _Search:
         waiting = [max(n - step, 1), n, n + step]
         while waiting:
             m = waiting.pop(0)
-            orders = orders_of(structure, m, self.lag)
+            orders = self._orders(structure, m, self.lag)
             if tuple(orders) in seen:
                 continue
             seen.add(tuple(orders))
@@ -261,7 +337,15 @@ class _Search:
             least = min(one.worth(self.by) for one in first)
             if not waiting and first[-1].worth(self.by) <= least < np.inf and m + step <= _HIGHEST:
                 waiting.append(m + step)
+        first += [
+            self._fitted(structure, self._chain(structure, orders, *tried[0]), few)
+            for orders in self._at_other_lags(structure, n)
+            if tuple(orders) not in seen
+        ]
         start = self._fewest_of_close(first)
+        # Of two blocks the first may hold some of a delay; beside many samples, few coefficients are no risk.
+        if start is not None and (step == 1 or not self.is_long):
+            start = self._tightened(start, few)
         for static in tried[1:]:
             if start is not None:
                 self._gone_on(self._chain(structure, list(_orders(start.spec)), *static), start, self.short)
@@ -269,13 +353,23 @@ class _Search:
                 # A record may tell the parameters of simpler functions apart.
                 self._fitted(structure, self._chain(structure, n, *static), self.short)
 
+    def _at_other_lags(self, structure: str, n: int) -> list[list[Orders]]:
+        """The orders at the ends of the interval of the delay, for what linear models do not tell."""
+        if self.given is not None or self.delay is None:
+            return []
+        ends = dict.fromkeys((self.delay.low, self.delay.high))
+        return [self._orders(structure, n, lag) for lag in ends if lag != self.lag]
+
     def _fewest_of_close(self, trials: Sequence[Trial]) -> Trial | None:
+        return min(self._close(trials), key=lambda one: one.count, default=None)
+
+    def _close(self, trials: Sequence[Trial]) -> list[Trial]:
+        """The fitted trials that the best one gains next to nothing on; by a criterion, the best one."""
         found = [one for one in trials if one.fit is not None]
         if self.by != "validation":
-            return best(found, self.by) if found else None
+            return [best(found, self.by)] if found else []
         least = min((one.rms for one in found), default=np.inf)
-        close = [one for one in found if one.rms <= _CLOSE * least]
-        return min(close, key=lambda one: one.count, default=None)
+        return [one for one in found if one.rms <= _CLOSE * least]
 
     def _pruned(self, wanted: list[Trial]) -> Trial:
         """The one of those wanted that is chosen, and lower orders of its linear blocks if they will do.
@@ -384,15 +478,23 @@ def preferred(trials: Sequence[Trial], by: By) -> Trial:
     return min((one for one in near if not is_surely_worse(one)), key=lambda one: (one.count, one.rms))
 
 
-def first_lag(data: Data) -> int:
-    """The lag at which the output surely answers to the input, by their correlation; 0 if there is none."""
-    found = correlation(data.u, data.y, data.experiments)
-    shown = None if found is None else delay(found)
-    return 0 if shown is None else shown.low
-
-
 def _orders(spec: PredictionError) -> Iterator[Orders]:
     return (Orders(b.nb, b.nf, b.nk) for b in spec.blocks if isinstance(b, LinearBlock))
+
+
+def _later(spec: PredictionError, nk: int) -> PredictionError | None:
+    """The chain whose last linear block has a larger delay and fewer coefficients; None if none are left.
+
+    One linear block ends where it did. Of two the first may have held a part of the delay: one coefficient
+    less is enough.
+    """
+    blocks = [canonical(block) for block in spec.blocks]
+    linear = [block for block in blocks if block["kind"] == "linear"]
+    last = linear[-1]
+    last |= {"nb": last["nb"] - (nk - last.get("nk", 0) if len(linear) == 1 else 1), "nk": nk}
+    if last["nb"] < 1:
+        return None
+    return PredictionError(blocks=blocks, n_init=spec.n_init, start=spec.start)
 
 
 def _smaller(spec: PredictionError) -> PredictionError | None:

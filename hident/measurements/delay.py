@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hident.arrays import Array
+from hident.measurements.signal_values import scaled
 from hident.numerics.autoregression import yule_walker
 from hident.numerics.parts import Parts, longer_than
+from hident.records import Record
 
 _LONGEST_AR = 30
 _LAGS_OF_DELAY = 200
@@ -49,6 +51,25 @@ class Correlation:
     bound: Array
     innovations: float
     method: str
+
+
+def delay_of(record: Record) -> tuple[Correlation | None, Delay | None]:
+    """The correlation of a record's output with its input, and the delay; None if there is none.
+
+    Examples
+    --------
+    >>> u = np.random.default_rng(0).normal(size=500)
+    >>> _, found = delay_of(Record(u, np.convolve(u, [0, 0, 1, 0.5])[:500]))
+    >>> found.low, found.high
+    (2, 2)
+    """
+
+    def made() -> tuple[Correlation | None, Delay | None]:
+        with np.errstate(all="ignore"):
+            found = correlation(scaled(record.u), scaled(record.y), record.experiments)
+            return found, None if found is None else delay(found)
+
+    return record.once("delay", made)
 
 
 def correlation(u: Array, y: Array, parts: Parts) -> Correlation | None:

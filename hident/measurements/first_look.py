@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hident.measurements.delay import Correlation, Delay, correlation, delay
+from hident.measurements.delay import Correlation, Delay, delay_of
 from hident.measurements.excitation import Excitation, excitation
 from hident.measurements.signal_values import Signal, scaled, signal_of
 from hident.measurements.suspicions import suspicions
@@ -55,8 +55,7 @@ def first_look(record: Record) -> FirstLook:
         parts = record.experiments
         u, y = scaled(record.u), scaled(record.y)
         signals = signal_of(record.u, u, parts), signal_of(record.y, y, parts)
-        correlated = correlation(u, y, parts)
-        found = None if correlated is None else delay(correlated)
+        correlated, found = delay_of(record)
         excited = excitation(u, parts)
         wrong = suspicions(record, u, y, signals, correlated, found, excited)
         return FirstLook(

@@ -15,9 +15,11 @@ from hident.estimators.prediction_error.criterion import Data
 from hident.identification.bootstrap import bootstrap
 from hident.identification.candidates import STRUCTURES, Functions, Orders, chain, orders_of
 from hident.identification.continuation import continued, resumed
-from hident.identification.identify import Trial, first_lag, identify, near_the_best, preferred, simplest
+from hident.identification.identify import Trial, identify, near_the_best, preferred, simplest
 from hident.identification.split import quiet_beginning, split
 from hident.linear_blocks import TransferFunction
+from hident.measurements.first_look import first_look
+from hident.measurements.preparation import Samples, decimated
 from hident.records import Held, Part, Record, needed
 from tests.forked import run_forked
 
@@ -115,17 +117,75 @@ def test_a_quiet_beginning_is_left_out_but_for_its_end():
     assert quiet_beginning(record_of(np.r_[np.ones(1000), u], moving), 100) == 0
 
 
-@pytest.mark.parametrize(("lags", "first"), [(0, 0), (1, 1), (3, 3), (7, 7)])
-def test_the_delay_is_the_lag_that_surely_answers(lags, first):
-    draws = np.random.default_rng(lags)
-    u = draws.standard_normal(1000)
-    y = TransferFunction((*(0.0,) * lags, 1.0, 0.5), (0.7,)).filter(u) + 0.1 * draws.standard_normal(1000)
-    assert first_lag(Data(u, y, (slice(0, 1000),))) == first
+def delayed(delay, held, structure, samples=2000, seed=0, noise=0.02):
+    """A saturation before or behind a linear block with a delay, its input held for some samples."""
+    draws = np.random.default_rng(seed)
+    u = np.repeat(draws.uniform(-2.0, 2.0, samples // held + 1), held)[:samples]
+    block = TransferFunction((*(0.0,) * delay, 0.2), (1.2, -0.4))
+    if structure == "hammerstein":
+        y = block.filter(np.clip(u, -1.0, 1.2))
+    else:
+        y = np.clip(block.filter(u), -1.0, 1.2)
+    return u, y + noise * draws.standard_normal(samples)
+
+
+def linear_block(found):
+    [block] = [block for block in found.chosen.spec.blocks if isinstance(block, hi.LinearBlock)]
+    return block
+
+
+@pytest.mark.parametrize(
+    ("structure", "held", "delay"),
+    [
+        ("hammerstein", 1, 15),
+        ("hammerstein", 4, 40),
+        ("wiener", 1, 5),
+        ("wiener", 4, 0),
+        ("wiener", 4, 1),
+        ("wiener", 4, 15),
+        ("wiener", 4, 40),
+    ],
+)
+def test_a_delay_is_found_with_low_orders(structure, held, delay):
+    found = identify(record_of(*delayed(delay, held, structure)), [structure])
+    block = linear_block(found)
+    shown = needed(found.delay)
+    assert shown.low <= delay <= shown.high
+    assert block.nk == delay
+    assert block.nb <= 3
+    assert block.nf == 2
+    assert found.chosen.rms == pytest.approx(0.02, rel=0.05)
+
+
+def test_a_delay_behind_the_filter_of_a_decimation_is_found():
+    """Behind that filter the answer is smeared to both sides of 3.75 samples."""
+    draws = np.random.default_rng(0)
+    u = np.repeat(draws.uniform(-2.0, 2.0, 200), 40)
+    y = np.clip(TransferFunction((*(0.0,) * 15, 0.01), (1.8, -0.81)).filter(u), -1.0, 1.2)
+    slow = decimated(Samples("", u, y + 0.02 * draws.standard_normal(8000)), 4)
+    found = identify(record_of(slow.u, slow.y), ["wiener"])
+    block = linear_block(found)
+    shown = needed(found.delay)
+    assert shown.low <= 3.75 <= shown.high
+    assert 3 <= block.nk <= 4
+    assert block.nb + block.nf <= 6
+
+
+def test_a_delay_that_is_given_is_that_of_all_chains():
+    record = record_of(*delayed(15, 4, "wiener", 600))
+    found = identify(record, ["wiener"], delay=14)
+    assert {linear_block(replace(found, chosen=one)).nk for one in found.trials} == {14}
+    with pytest.raises(
+        EstimationError, match="a delay of 470 samples is too long: the shortest experiment has"
+    ):
+        identify(record, ["wiener"], delay=470)
 
 
 def test_no_delay_is_found_where_the_input_does_not_act():
-    u, y = np.random.default_rng(3).standard_normal((2, 1000))
-    assert first_lag(Data(u, y, (slice(0, 1000),))) == 0
+    u, y = np.random.default_rng(3).standard_normal((2, 400))
+    found = identify(record_of(u, y), ["linear"])
+    assert found.delay is None
+    assert {linear_block(replace(found, chosen=one)).nk for one in found.trials} == {0}
 
 
 def _trial(count, kept, fitted=None):
@@ -272,6 +332,7 @@ def test_two_linear_blocks_share_the_order_and_the_last_has_the_delay():
     assert orders_of("wiener", 3, 1) == [Orders(3, 3, 1)]
     assert orders_of("wiener", 3, 0) == [Orders(4, 3, 0)]
     assert orders_of("wiener", 3, 7) == [Orders(6, 3, 4)]
+    assert orders_of("wiener", 3, 7, is_sure=True) == [Orders(3, 3, 7)]
     assert orders_of("wiener_hammerstein", 4, 1) == [Orders(4, 3, 0), Orders(4, 3, 1)]
 
 
@@ -320,8 +381,32 @@ def _printed(folder, u, y, *arguments):
     lines = ["u,y", *(f"{a:.6g},{b:.6g}" for a, b in zip(u, y, strict=True))]
     (folder / "r.csv").write_text("\n".join(lines) + "\n")
     done = run_forked(["identify", "r.csv", "--input", "u", "--output", "y", *arguments], folder)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert done.returncode == 0
+    assert all(line.startswith("warning: The ") for line in done.stderr.splitlines())
     return done.stdout
+
+
+def test_what_show_finds_wrong_is_a_warning_and_stands_in_the_table(tmp_path):
+    u, y = tank(300)
+    y = np.minimum(y, np.quantile(y, 0.8))
+    lines = ["u,y", *(f"{a:.6g},{b:.6g}" for a, b in zip(u, y, strict=True))]
+    (tmp_path / "r.csv").write_text("\n".join(lines) + "\n")
+    columns = ["r.csv", "--input", "u", "--output", "y", "--estimate", "1..250", "--validate", "r.csv"]
+    done = run_forked(["identify", *columns, "--structure", "linear"], tmp_path)
+    wrong = first_look(hi.read(tmp_path / "r.csv", input="u", output="y", estimation="1..250")).wrong
+    assert len(wrong) == 1
+    assert "saturated" in wrong[0]
+    assert done.stderr.splitlines()[0] == f"warning: {wrong[0]}"
+    assert done.stderr.splitlines()[1].startswith("warning: For validation: The output stands at its highest")
+    assert f"- {wrong[0]}" in (tmp_path / "out/identify_r/table.md").read_text().splitlines()
+
+
+def test_the_delay_is_printed_with_its_interval_and_can_be_given(tmp_path):
+    u, y = tank(400)
+    said = _printed(tmp_path, u, y, "--structure", "linear")
+    assert "\ndelay: 2 samples, by the cross-correlation with the input, prewhitened by autoreg" in said
+    said = _printed(tmp_path, u, y, "--structure", "linear", "--delay", "1")
+    assert "; 1 in the chosen chain, as given\n" in said
 
 
 def test_inputs_that_were_not_fitted_are_said(tmp_path):
