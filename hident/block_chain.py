@@ -15,6 +15,8 @@ from hident.static_functions import StaticFunction
 Block = TransferFunction | StaticFunction
 Start = Literal["rest", "settled"]
 """What was before the first sample: nothing, or the first input for ever."""
+Beginning = Literal["settled", "rest", "estimated"]
+"""As :data:`Start`, or states that the first samples of the output tell."""
 
 
 @dataclass(frozen=True)

@@ -758,7 +758,10 @@ def identify(
     ] = None,
     start: Annotated[
         str,
-        typer.Option(metavar="settled|rest", help="Before a record: its first input for ever, or nothing."),
+        typer.Option(
+            metavar="settled|rest|estimated",
+            help="Before a record: its first input for ever, nothing, or what its first samples tell.",
+        ),
     ] = "settled",
     delay: Annotated[
         int | None,

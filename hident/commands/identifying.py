@@ -16,7 +16,7 @@ import yaml
 
 from hident import __version__
 from hident.arrays import Array
-from hident.block_chain import Block, Start
+from hident.block_chain import Beginning, Block
 from hident.commands.looking import delay_in_words
 from hident.commands.measured import record_of
 from hident.commands.models import draw_model, save_figure
@@ -75,7 +75,10 @@ def identify_file(
             raise ConfigError(
                 f"--structure: unknown structure '{name}'{near} (allowed: {one_of(STRUCTURES)})"
             )
-    for option, value, allowed in (("--by", by, get_args(By)), ("--start", start, get_args(Start))):
+    for option, value, allowed in (
+        ("--by", by, get_args(By)),
+        ("--start", start, get_args(Beginning)),
+    ):
         if value not in allowed:
             near = did_you_mean(value, allowed)
             raise ConfigError(f"{option}: must be {one_of(allowed)}, not '{value}'{near}")
@@ -95,7 +98,7 @@ def identify_file(
             structures or tuple(STRUCTURES),
             by=cast(By, by),
             n_init=n_init,
-            start=cast(Start, start),
+            start=cast(Beginning, start),
             delay=delay,
             tell=_Progress(begun),
         )

@@ -9,6 +9,7 @@ import numpy as np
 
 from hident.block_chain import BlockChain
 from hident.errors import EstimationError
+from hident.estimators.prediction_error.chain_fit import fit_with_states
 from hident.estimators.prediction_error.standard_errors import normal_form
 from hident.identification.continuation import continued
 from hident.identification.identify import Identification
@@ -71,7 +72,11 @@ def bootstrap(
         y = point.signals[-1].copy()
         y[data.counted] += in_each(experiments, lambda e, rng=rng: resampled(e, length, rng), point.residuals)
         try:
-            again = continued(structure, chain, replace(data, y=y))
+            drawn = replace(data, y=y)
+            if found.parts.finds_states:
+                again = fit_with_states(structure, replace(point.parameters, states={}), drawn)
+            else:
+                again = continued(structure, chain, drawn)
             chains.append(normal_form(again.point).chain)
         except (EstimationError, np.linalg.LinAlgError):
             pass

@@ -9,13 +9,14 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from hident.arrays import Array
-from hident.block_chain import Start
+from hident.block_chain import Beginning
 from hident.config.spec import canonical
 from hident.errors import EstimationError
 from hident.estimators.base import require_usable
 from hident.estimators.prediction_error.block_specs import LinearBlock
-from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain
+from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain, fit_with_states
 from hident.estimators.prediction_error.criterion import Data
+from hident.estimators.prediction_error.parameters import Parameters
 from hident.estimators.prediction_error.prediction_error import PredictionError
 from hident.identification.candidates import STRUCTURES, Functions, Orders, chain, orders_of
 from hident.identification.continuation import continued, resumed
@@ -138,7 +139,7 @@ def identify(
     *,
     by: By = "validation",
     n_init: int | None = None,
-    start: Start = "settled",
+    start: Beginning = "settled",
     delay: int | None = None,
     tell: Callable[[Trial], None] = lambda trial: None,
 ) -> Identification:
@@ -155,8 +156,10 @@ def identify(
         What decides: the simulation of the samples kept apart, or a criterion of those that are fitted.
     n_init : int, optional
         First samples of each experiment that are not fitted; by default 250, or a twentieth of the shortest.
-    start : {"settled", "rest"}
-        What was before the record: its first input for ever, or nothing.
+    start : {"settled", "rest", "estimated"}
+        What was before the record: its first input for ever, nothing, or what its first samples tell. Then
+        the chosen chain is fitted with the states in which each experiment begins, and leaves out the first
+        ``n_init`` samples only if they are given.
     delay : int, optional
         The delay of the chains, in samples, at its last linear block; by default the correlation of input and
         output and the fits tell it.
@@ -186,9 +189,8 @@ def identify(
     require_usable(record)
     # On matrices of a few rows, BLAS's threads take several times the processor time of one.
     with threadpool_limits(1):
-        return _Search(split(record, n_init, start), by, tell, delay_of(record)[1], delay).identified(
-            structures
-        )
+        search = _Search(split(record, n_init, start), by, tell, delay_of(record)[1], delay, start, n_init)
+        return search.identified(structures)
 
 
 class _Search:
@@ -201,6 +203,8 @@ class _Search:
         tell: Callable[[Trial], None],
         delay: Delay | None = None,
         given: int | None = None,
+        start: Beginning = "settled",
+        n_init: int | None = None,
     ) -> None:
         if parts.estimation.count < _FEWEST or len(parts.output) < _FEWEST:
             raise EstimationError(
@@ -216,7 +220,9 @@ class _Search:
         self.trials: list[Trial] = []
         self.short = parts.estimation.busiest(_COMPARED)
         self.is_long = len(self.short.u) < len(parts.estimation.u)
-        self.delay, self.given = delay, given
+        self.delay, self.given, self.start = delay, given, start
+        # What the chosen chain leaves out in the end: nothing where its states are found.
+        self.n_init = n_init or 0 if parts.finds_states else parts.everything.n_init
         self.functions = Functions.of_input(parts.estimation.u)
 
     def identified(self, structures: Sequence[str]) -> Identification:
@@ -234,8 +240,12 @@ class _Search:
         fit = chosen.fit
         assert fit is not None
         if self.parts.everything is not self.parts.estimation:
-            again = resumed(chosen.spec.structure(), fit.point.parameters, self.parts.everything)
+            again = resumed(chosen.spec.structure(), _stateless(fit), self.parts.everything)
             fit = _counted_as(again, fit)
+        if self.parts.finds_states:
+            # All that is to be fitted now, from each first sample on.
+            whole = replace(self.parts.everything, n_init=self.n_init)
+            fit = _counted_as(fit_with_states(chosen.spec.structure(), fit.point.parameters, whole), fit)
         near = near_the_best(self._wanted(structures))
         within = frozenset(i for i, one in enumerate(self.trials) if one in near)
         notes = self.functions.notes(structures)
@@ -297,8 +307,7 @@ class _Search:
     ) -> PredictionError:
         """The chain of a structure with these orders, or those for a linear approximation of order n."""
         orders = self._orders(structure, n, self.lag) if isinstance(n, int) else n
-        everything = self.parts.everything
-        return chain(structure, orders, static, n_init=everything.n_init, start=everything.start)
+        return chain(structure, orders, static, n_init=self.n_init, start=self.start)
 
     def _orders(self, structure: str, n: int, lag: int) -> list[Orders]:
         return orders_of(structure, n, lag, is_sure=self.given is not None)
@@ -398,7 +407,7 @@ class _Search:
         assert chosen.fit is not None
         try:
             structure = chosen.spec.structure()
-            fit = resumed(structure, chosen.fit.point.parameters, whole, _ORDER_ITERATIONS)
+            fit = resumed(structure, _stateless(chosen.fit), whole, _ORDER_ITERATIONS)
             found = self._judged(chosen.structure, chosen.spec, _counted_as(fit, chosen.fit))
         except (EstimationError, np.linalg.LinAlgError):
             return chosen
@@ -407,7 +416,13 @@ class _Search:
     def _fitted(self, structure: str, spec: PredictionError, data: Data, most_starts: int = 8) -> Trial:
         """A chain fitted to data from starts of its own."""
         try:
-            fit = fit_chain(spec.structure(), data, most_starts=most_starts, max_iterations=_ORDER_ITERATIONS)
+            fit = fit_chain(
+                spec.structure(),
+                replace(data, n_init=self.n_init) if self.parts.finds_states else data,
+                most_starts=most_starts,
+                max_iterations=_ORDER_ITERATIONS,
+                states=self.parts.finds_states,
+            )
             return self._judged(structure, spec, fit)
         except (EstimationError, np.linalg.LinAlgError) as error:
             return self._told(Trial(structure, spec, reason=str(error)))
@@ -418,6 +433,9 @@ class _Search:
         most = _FUNCTION_ITERATIONS if data.count < _COMPARED // 2 else _ORDER_ITERATIONS
         try:
             fit = continued(spec.structure(), begun.fit.point.parameters.chain, data, most, whole)
+            if self.parts.finds_states:
+                data = replace(data, n_init=self.n_init)
+                fit = fit_with_states(spec.structure(), fit.point.parameters, data, most)
             return self._judged(begun.structure, spec, _counted_as(fit, begun.fit))
         except (EstimationError, np.linalg.LinAlgError) as error:
             return self._told(Trial(begun.structure, spec, reason=str(error)))
@@ -427,8 +445,8 @@ class _Search:
             fitted, kept = self.parts.errors(fit.point.parameters.chain)
         if not (np.all(np.isfinite(kept)) and np.all(np.isfinite(fitted))):
             return self._told(Trial(structure, spec, reason="the simulation of the record is not finite"))
-        # A factor between a linear block and a static function is no parameter.
-        count = fit.point.parameters.count() - STRUCTURES[structure].count("L")
+        # A factor between a linear block and a static function is no parameter, nor is a state.
+        count = _stateless(fit).count() - STRUCTURES[structure].count("L")
         return self._told(Trial(structure, spec, count, fit, fitted**2, kept**2))
 
     def _told(self, trial: Trial) -> Trial:
@@ -508,6 +526,11 @@ def _smaller(spec: PredictionError) -> PredictionError | None:
             written |= {"nb": block.nb - 1, "nf": block.nf - 1}
         blocks.append(written)
     return PredictionError(blocks=blocks, n_init=spec.n_init, start=spec.start)
+
+
+def _stateless(fit: ChainFit) -> Parameters:
+    """The parameters of a fit without the states at the first samples of its data."""
+    return replace(fit.point.parameters, states={})
 
 
 def _counted_as(fit: ChainFit, search: ChainFit) -> ChainFit:

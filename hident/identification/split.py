@@ -8,8 +8,12 @@ from typing import Any
 import numpy as np
 
 from hident.arrays import Array
-from hident.block_chain import BlockChain, Start
-from hident.estimators.prediction_error.criterion import Data, simulated
+from hident.block_chain import Beginning, BlockChain, Start
+from hident.estimators.base import unknown_past
+from hident.estimators.prediction_error.criterion import NO_STATES, Data, simulated
+from hident.estimators.prediction_error.parameters import States
+from hident.initial_states import initial_states
+from hident.linear_blocks import TransferFunction
 from hident.numerics.parts import Parts, following, joined
 from hident.records import Record
 
@@ -35,14 +39,32 @@ class Split:
     kept: Any
     kept_experiments: Parts
     said: str
+    finds_states: bool = False
+    """Whether a simulation begins with the states that the first samples of the output tell."""
 
     def simulated(self, model: BlockChain) -> Array:
         """The output of a chain at the samples kept apart."""
-        return np.asarray(simulated(self.validation, model)[self.kept])
+        return np.asarray(self._simulated(self.validation, model)[self.kept])
+
+    def _simulated(self, data: Data, model: BlockChain) -> Array:
+        return simulated(data, model, self._states(data, model) if self.finds_states else NO_STATES)
+
+    def _states(self, data: Data, model: BlockChain) -> dict[int, States]:
+        """The states of each linear block at the first sample of each experiment, by its place.
+
+        What is kept apart at the end of an experiment tells nothing of its beginning.
+        """
+        ends = self.estimation.experiments if data is self.everything else data.experiments
+        found = []
+        for whole, told in zip(data.experiments, ends, strict=True):
+            part = slice(whole.start, whole.start + told.stop - told.start)
+            found.append(initial_states(model, data.u[part], data.y[part]))
+        places = [i for i, block in enumerate(model.blocks) if isinstance(block, TransferFunction)]
+        return {place: tuple(one[k] for one in found) for k, place in enumerate(places)}
 
     def errors(self, model: BlockChain) -> tuple[Array, Array]:
         """What the simulation by a chain leaves of the samples that are fitted, and of those kept apart."""
-        whole = self.everything.y - simulated(self.everything, model)
+        whole = self.everything.y - self._simulated(self.everything, model)
         if self.validation is self.everything:
             return np.asarray(whole[self.fitted]), np.asarray(whole[self.kept])
         return np.asarray(whole[self.fitted]), self.output - self.simulated(model)
@@ -58,11 +80,17 @@ class Split:
         return np.asarray(self.validation.u[self.kept])
 
 
-def split(record: Record, n_init: int | None, start: Start = "settled") -> Split:
+def split(record: Record, n_init: int | None, beginning: Beginning = "settled") -> Split:
     """The validation record if there is one, else the last fifth of each experiment."""
     shortest = min(part.stop - part.start for part in record.experiments)
     initial = min(_MOST_INITIAL, shortest // _INITIAL_SHARE) if n_init is None else n_init
-    quiet = quiet_beginning(record, 2 * initial) if len(record.experiments) == 1 else 0
+    finds_states = beginning == "estimated"
+    start: Start = "rest" if beginning == "rest" else "settled"
+    if finds_states:
+        # Where the states are not known yet, these samples are not to mislead the search.
+        initial = max(initial, unknown_past(shortest))
+    is_quiet = len(record.experiments) == 1 and not finds_states
+    quiet = quiet_beginning(record, 2 * initial) if is_quiet else 0
     u, y = record.u[quiet:], record.y[quiet:]
     experiments = (slice(0, len(u)),) if quiet else record.experiments
     everything = Data(u, y, experiments, start, initial)
@@ -77,6 +105,7 @@ def split(record: Record, n_init: int | None, start: Start = "settled") -> Split
             kept.counted,
             following(kept.experiments, initial),
             f"the record for validation, {kept.count} samples",
+            finds_states,
         )
     cuts = [part.start + round((part.stop - part.start) * (1.0 - _KEPT_APART)) for part in record.experiments]
     cuts = [cut - quiet for cut in cuts]
@@ -94,6 +123,7 @@ def split(record: Record, n_init: int | None, start: Start = "settled") -> Split
         tails,
         joined(map(len, lasts)),
         f"the last fifth{several}, {len(tails)} samples",
+        finds_states,
     )
 
 

@@ -469,3 +469,60 @@ def test_what_cannot_be_done_is_said(folder, arguments, said):
     done = run_forked(["identify", "tank.csv", "--input", "valve", "--output", "level", *arguments], folder)
     assert done.returncode == 2
     assert done.stderr.startswith(said)
+
+
+class TestEstimatedStates:
+    """A record of short experiments, each of which begins in motion."""
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def record(cls):
+        draws = np.random.default_rng(5)
+        block = TransferFunction((0.0, 0.05), (0.95,))
+        u, y = [], []
+        for _ in range(8):
+            level = np.repeat(draws.uniform(-2.0, 2.0, 60), 5)
+            u.append(level[200:])
+            y.append(block.filter(np.clip(level, -1.0, 1.2))[200:])
+        noise = 0.005 * draws.standard_normal(800)
+        return record_of(
+            np.concatenate(u), np.concatenate(y) + noise, [(100 * k, 100 * (k + 1)) for k in range(8)]
+        )
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def found(cls, record):
+        return identify(record, ["hammerstein"], start="estimated")
+
+    def test_the_model_begins_as_each_experiment_does(self, record, found):
+        model = found.estimate(record).model
+        assert (model.start, len(model.begun)) == ("estimated", 8)
+        assert found.chosen.spec.n_init == 0
+        assert np.std(record.y - model.simulate(record)) == pytest.approx(0.005, rel=0.1)
+        assert model.chain.linear[0].a[0] == pytest.approx(0.95, abs=0.005)
+
+    def test_what_is_kept_apart_is_simulated_from_states_that_it_does_not_tell(self, record, found):
+        assert found.chosen.rms == pytest.approx(0.005, rel=0.2)
+        assert identify(record, ["hammerstein"]).chosen.rms > 1.5 * found.chosen.rms
+        y = record.y.copy()
+        y[80:100] += 5.0
+        other = split(replace(record, y=y), None, "estimated")
+        chain = found.chosen.fit.point.parameters.chain
+        np.testing.assert_array_equal(other.simulated(chain), found.parts.simulated(chain))
+
+    def test_bands_are_of_fits_beside_the_chosen_one(self, found):
+        poles = [chain.linear[0].a[0] for chain in bootstrap(found, 5).chains]
+        assert poles == pytest.approx([0.95] * 5, abs=0.01)
+
+    def test_the_command_writes_a_configuration_that_finds_the_states_too(self, folder):
+        arguments = ["tank.csv", "--input", "valve", "--output", "level", "--structure", "linear"]
+        done = run_forked(["identify", *arguments, "--start", "estimated", "--out", "begun"], folder)
+        assert done.returncode == 0
+        written = yaml.safe_load((folder / "begun/experiment.yaml").read_text())
+        assert written["estimators"]["chosen"]["start"] == "estimated"
+        assert hi.load_model(folder / "begun/model.json").begun
+        done = run_forked(["identify", *arguments, "--start", "estimate"], folder)
+        assert (done.returncode, done.stderr) == (
+            2,
+            "error: --start: must be settled, rest, estimated, not 'estimate'; did you mean 'estimated'?\n",
+        )

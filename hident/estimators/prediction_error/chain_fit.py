@@ -104,12 +104,9 @@ def fit_chain(
     best, agreeing = second_heat[0], _agreeing(second_heat)
     iterations = best.iterations
     if states:
-        parameters = _with_states(best.point.parameters, everything)
-        # The first samples may reach farther than those of the search, once their states are known.
-        for _ in range(2):
-            [best] = _heat(structure, [parameters], everything, max_iterations)
-            parameters = best.point.parameters
-            evaluations, iterations = evaluations + best.evaluations, iterations + best.iterations
+        last = fit_with_states(structure, best.point.parameters, everything, max_iterations)
+        best = Descent(last.point, last.status, last.iterations, last.evaluations)
+        evaluations, iterations = evaluations + best.evaluations, iterations + best.iterations
     elif len(second.u) < len(data.u):
         [best] = _heat(structure, [best.point.parameters], data, max_iterations)
         evaluations, iterations = evaluations + best.evaluations, iterations + best.iterations
@@ -122,6 +119,26 @@ def fit_chain(
         evaluations += sum(one.evaluations for one in modelled)
         iterations += best.iterations
     return ChainFit(best.point, best.status, iterations, evaluations, len(points), len(second_heat), agreeing)
+
+
+def fit_with_states(
+    structure: ChainStructure, parameters: Parameters, data: Data, max_iterations: int = 100
+) -> ChainFit:
+    """The fit that goes on from another one, and finds the states at the first samples of the data as well.
+
+    Raises
+    ------
+    EstimationError
+        If there are too many states.
+    """
+    parameters = _with_states(parameters, data)
+    evaluations = iterations = 0
+    # The first samples may reach farther than those of the search, once their states are known.
+    for _ in range(2):
+        [best] = _heat(structure, [parameters], data, max_iterations)
+        parameters = best.point.parameters
+        evaluations, iterations = evaluations + best.evaluations, iterations + best.iterations
+    return ChainFit(best.point, best.status, iterations, evaluations, 1, 1, 1)
 
 
 def _with_exchanges(
