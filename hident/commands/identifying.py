@@ -292,7 +292,7 @@ def _said(
     by = "the simulation of" if found.by == "validation" else f"{found.by.upper()}; kept apart:"
     yield (
         f"{len(found.trials)} chains tried, {shown} fitted; chosen by {by} {found.parts.said}, "
-        f"without the first {found.parts.everything.n_init} samples of what is fitted"
+        f"without the first {found.chosen.spec.n_init} samples of what is fitted"
     )
     in_chain = sum(canonical(block).get("nk", 0) for block in found.chosen.spec.blocks)
     as_given = "" if delay is None else ", as given"
