@@ -19,7 +19,7 @@ from hident.estimators.prediction_error.criterion import Data
 from hident.estimators.prediction_error.parameters import Parameters
 from hident.estimators.prediction_error.prediction_error import PredictionError
 from hident.identification.candidates import STRUCTURES, Functions, Orders, chain, orders_of
-from hident.identification.continuation import continued, resumed
+from hident.identification.continuation import continued, no_worse_than_shorter, resumed
 from hident.identification.split import Split, split
 from hident.measurements.delay import Delay, delay_of
 from hident.numerics.choices import first_least, standard_error, within_one_standard_error
@@ -43,6 +43,8 @@ _MOST_LINEAR, _MORE_LINEAR, _MANY = 4, 8, 5000
 _NO_GAIN = 2
 # Delays are compared by linear models with so many coefficients and poles; so many steps over the interval.
 _NEAR_DELAY, _STEPS = 2, 8
+# Where linear models leave more than this part of the output, their roots say little of those of a chain.
+_FAR_FROM_LINEAR = 0.1
 # So many standard errors are no chance.
 _SURELY = 3.0
 
@@ -224,6 +226,7 @@ class _Search:
         # What the chosen chain leaves out in the end: nothing where its states are found.
         self.n_init = n_init or 0 if parts.finds_states else parts.everything.n_init
         self.functions = Functions.of_input(parts.estimation.u)
+        self.is_far_from_linear = False
 
     def identified(self, structures: Sequence[str]) -> Identification:
         self.lag = self._lag()
@@ -297,6 +300,8 @@ class _Search:
                 break
         if not any(one.fit for one in linear):
             return 2
+        left = min(one.estimation for one in linear)
+        self.is_far_from_linear = left**2 > _FAR_FROM_LINEAR * float(np.var(self.parts.estimation.y))
         chosen = simplest(linear, self.by)
         if is_asked:
             self._tightened(chosen, few)
@@ -416,13 +421,17 @@ class _Search:
     def _fitted(self, structure: str, spec: PredictionError, data: Data, most_starts: int = 8) -> Trial:
         """A chain fitted to data from starts of its own."""
         try:
+            wanted = spec.structure()
             fit = fit_chain(
-                spec.structure(),
+                wanted,
                 replace(data, n_init=self.n_init) if self.parts.finds_states else data,
                 most_starts=most_starts,
                 max_iterations=_ORDER_ITERATIONS,
                 states=self.parts.finds_states,
             )
+            is_hard = structure == "wiener_hammerstein" and self.is_far_from_linear
+            if is_hard and not self.parts.finds_states:
+                fit = no_worse_than_shorter(fit, wanted, data, _ORDER_ITERATIONS)
             return self._judged(structure, spec, fit)
         except (EstimationError, np.linalg.LinAlgError) as error:
             return self._told(Trial(structure, spec, reason=str(error)))

@@ -11,10 +11,11 @@ import yaml
 
 import hident as hi
 from hident.errors import EstimationError
+from hident.estimators.prediction_error.chain_fit import fit_chain
 from hident.estimators.prediction_error.criterion import Data
 from hident.identification.bootstrap import bootstrap
 from hident.identification.candidates import STRUCTURES, Functions, Orders, chain, orders_of
-from hident.identification.continuation import continued, resumed
+from hident.identification.continuation import continued, no_worse_than_shorter, resumed
 from hident.identification.identify import Trial, identify, near_the_best, preferred, simplest
 from hident.identification.split import quiet_beginning, split
 from hident.linear_blocks import TransferFunction
@@ -275,6 +276,57 @@ class TestFewLevels:
         found = identify(record_of(u, y), ["hammerstein"])
         function = needed(found.estimate(record_of(u, y)).nonlinearity)
         np.testing.assert_allclose(function(np.array([-2.0, 0.0, 1.0, 3.0])), [-1, 0, 1, 2], atol=0.02)
+
+
+def drive(function, seed, samples=600):
+    """A resonant drive at a few speeds, a sensor that does not tell their sign, and its filter."""
+    draws = np.random.default_rng(seed)
+    levels = draws.choice([-1.0, 1.4], samples) if seed % 2 else draws.uniform(-1.0, 1.6, samples)
+    u = np.repeat(levels, 5 if seed % 2 else 8)[:samples]
+    resonance = 0.93 * np.exp(0.48j)
+    poles = np.poly([resonance, resonance.conjugate(), 0.88]).real
+    x = TransferFunction((0.0, 0.0, 0.02, 0.01), tuple(-poles[1:])).filter(u)
+    y = TransferFunction((0.4,), (0.6,)).filter(function(x / np.std(x)))
+    return u, y / np.std(y) + 0.1 * draws.standard_normal(samples)
+
+
+@pytest.mark.parametrize("function", [np.abs, np.square, lambda x: np.maximum(x, 0.0)])
+def test_behind_a_function_that_is_far_from_a_line_both_linear_blocks_are_found(function):
+    # The linear approximation says little of the roots: searches that split them end elsewhere in some.
+    blocks = [Orders(4, 3, 0), Orders(4, 3, 0)]
+    structure = chain("wiener_hammerstein", blocks, [{"kind": "cubic_spline", "knots": 8}]).structure()
+    alone, left = [], []
+    for seed in range(6):
+        u, y = drive(function, seed)
+        data = Data(u, y, (slice(0, len(u)),), "rest")
+        found = fit_chain(structure, data, max_iterations=25)
+        better = no_worse_than_shorter(found, structure, data, 25)
+        alone.append(found.point.loss / data.count)
+        left.append(better.point.loss / data.count)
+    assert max(alone) > 0.02
+    # The noise has the variance 0.01.
+    assert max(left) < 0.0115
+
+
+@pytest.mark.parametrize(("first", "last"), [(0, 2), (3, 1)])
+def test_a_shorter_chain_is_the_same_with_its_delay_between_two_blocks(first, last):
+    u, y = drive(np.square, 0)
+    data = Data(u, np.r_[np.zeros(first + last), y[: len(y) - first - last]], (slice(0, len(u)),), "rest")
+    blocks = [Orders(4, 3, first), Orders(1, 1, last)]
+    structure = chain("wiener_hammerstein", blocks, [{"kind": "polynomial", "degree": 2}]).structure()
+    found = no_worse_than_shorter(fit_chain(structure, data, max_iterations=25), structure, data)
+    assert found.point.loss / data.count < 0.0115
+    assert found.agreeing <= found.finalists
+
+
+def test_a_longer_chain_is_no_worse_than_a_shorter_one_on_what_is_fitted():
+    u, y = drive(np.abs, 0)
+    tried = identify(record_of(u, y), ["wiener", "wiener_hammerstein"]).trials
+
+    def least(structure):
+        return min(one.estimation for one in tried if one.structure == structure)
+
+    assert least("wiener_hammerstein") < 1.02 * least("wiener")
 
 
 def test_a_bootstrap_spreads_as_the_standard_errors_say():
