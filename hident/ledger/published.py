@@ -107,6 +107,8 @@ class Reason(Spec):
     """The row."""
     quantity: Patterns = ("*",)
     """The quantity."""
+    misprint: bool = False
+    """Whether the printed digits are wrong by what the paper itself prints."""
 
     def covers(self, config: str, key: Key) -> bool:
         """Whether it speaks of this number of this configuration."""

@@ -64,6 +64,8 @@ RUNS = (1, 10, 100)
 LEVEL = 0.05
 KNOWN = 0.9
 """The share of trials in which a number must be known to be judged together with others."""
+OWN_DATA = "none: the trials are the paper's own data, so digits are equal or differ"
+"""What stands in the place of an interval where the trials are those that the paper ran."""
 _MOST_ROWS = 10_000
 _NAN = float("nan")
 
@@ -365,8 +367,7 @@ def _judgement(printed: Printed, series: Series, statistic: Statistic, published
     if not len(valid):
         return _Judgement(ours, ours, ours, "no trial succeeded")
     if is_same_data(published, len(series.values)):
-        said = "none: the trials are the paper's own data, so digits are equal or differ"
-        return _Judgement(ours, ours, ours, said)
+        return _Judgement(ours, ours, ours, OWN_DATA)
     if runs in ("unknown", 1):
         return replace(_of_single_trials(printed, valid, runs), ours=ours)
     return _of_averages(printed, series, statistic, runs)

@@ -8,12 +8,15 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hident import plugins
 from hident.config.load import read_leniently
-from hident.engine.run_files import RUN, VERDICTS
+from hident.engine.run_files import RUN, TRIALS, VERDICTS
 from hident.errors import ConfigError, NothingToCompare
+from hident.ledger.judged import COUNTED
+from hident.ledger.trial_values import TrialValues
 from hident.reports.site import build as module
 from hident.reports.site import configuration, drawings, front, runs, tables
 from hident.reports.site.build import build
@@ -121,15 +124,117 @@ def test_every_printed_number_stands_with_ours_and_its_verdict(read, config):
     assert len(buttons) == len(rows)
     signs: dict[str, str] = dict(SIGNS.items())
     by_id = {button["attributes"]["popovertarget"]: button for button in buttons}
+    # The note of published.csv says "at least".
+    shown = {("brouri_order", ">3"): "≥3"}
     for i, row in enumerate(rows):
         said = " ".join(by_id[f"n{i + 1}"]["text"].split())
-        assert said.startswith(f"printed {row['printed']} {signs[row['verdict']]} {row['verdict']}, ours ")
+        printed = shown.get((config, row["printed"]), row["printed"])
+        assert said.startswith(f"printed {printed} {signs[row['verdict']]} {row['verdict']}, ours ")
         detail = " ".join(details[f"n{i + 1}"]["text"].split())
-        for text in (row["table"], row["row"], row["quantity"], row["printed"], row["interval"]):
+        for text in (row["table"], row["row"], row["quantity"], printed, row["interval"]):
             assert " ".join(text.split()) in detail
         assert f"hident run {config}" in detail
         assert "trials" in detail
-    assert len(page.of("svg", class_="trials")) == len(rows)
+    # All trials of brouri_order give the order 1.
+    drawn = [row for row in rows if config != "brouri_order" and float(row["low"]) < float(row["high"])]
+    assert len(page.of("svg", class_="trials")) == len(drawn)
+
+
+def detail_of(page, *said):
+    """The words of the details of a number that hold some texts."""
+    found = [" ".join(one["text"].split()) for one in page.of("div", class_="detail")]
+    return next(one for one in found if all(text in one for text in said))
+
+
+def test_no_trials_are_shown_where_they_are_the_papers_own(read):
+    """Other trials than the paper's have nothing to say of equal digits, which stand with one more."""
+    page = read["runs/wang_table1.html"]
+    assert page.of("svg", class_="trials") == []
+    every = " ".join(one["text"] for one in page.of("div", class_="detail"))
+    assert "how stable" not in every
+    assert "how unusual" not in every
+    said = detail_of(page, "none: the trials are the paper's own data", "7.0004")
+    [ours] = re.findall(r"ours([-\d.]+),", said)
+    assert len(ours.partition(".")[2]) == 5
+    assert f"{float(ours):.4f}" == "7.0004"
+
+
+def test_a_bound_says_how_many_trials_keep_it_and_whether_it_is_allowed_itself(read):
+    rows = TrialValues.decoded((RESULTS / "chen_fig9" / TRIALS).read_bytes())
+    [values] = [
+        v for k, v in rows.series.items() if k[-2:] == ("four-segment", "linear") and k[:2] == ("0.1", "1.5")
+    ]
+    said = detail_of(read["runs/chen_fig9.html"], "<5")
+    assert f"{np.sum(values <= 5)} of {len(values)} trials keep the bound" in said
+    assert "how unusual" not in said
+    order = detail_of(read["runs/brouri_order.html"], "p by (39)")
+    assert "printed≥3" in order
+    assert "intervalup to 1;" in order
+    assert "ours1," in order
+
+
+def test_an_uncounted_number_is_no_verdict(read):
+    said = detail_of(read["runs/chen_table1.html"], "the coefficient is not there")
+    assert "ours rounds" not in said
+    assert "none, as all trials give the same" in said
+
+
+def flags(page):
+    return [one["text"] for one in page.of("span", class_="flag")]
+
+
+def test_what_a_verdict_lacks_stands_in_its_cell(read):
+    gains = flags(read["runs/brouri_gains.html"])
+    with (ROOT / "experiments" / "brouri" / "published.csv").open(newline="", encoding="utf-8") as file:
+        derived = sum(row["note"].startswith("derived") for row in csv.DictReader(file))
+    assert gains.count("derived") == derived
+    assert "10 of 100 trials" in gains
+    for config in JUDGED:
+        rows = [
+            one for one in rows_of(config) if one["verdict"] == "agrees" and float(one["width"] or "nan") > 1
+        ]
+        assert flags(read[f"runs/{config}.html"]).count("wide") == len(rows), config
+    assert flags(read["runs/mzyk_variance.html"]) == ["misprint"]
+    assert flags(read["runs/chen_vif.html"]).count("misprint") == 1
+    assert "but a misprint is among its numbers" in " ".join(read["runs/mzyk_variance.html"].text_of("p"))
+
+
+def test_the_front_page_says_what_its_numbers_do_not_tell(read):
+    page = read["index.html"]
+    said = " ".join(page.text_of("p"))
+    every = [row for config in JUDGED for row in rows_of(config) if row["mark"] in COUNTED]
+    agreeing = [row for row in every if row["verdict"] == "agrees"]
+    wide = sum(float(row["width"] or "nan") > 1 for row in agreeing)
+    once = sum(row["excluded"] == "1" for row in agreeing)
+    assert f"Of the {len(agreeing)} that agree, {wide} do so by an interval wider" in said
+    assert f"{once} would have differed under one alternative only" in said
+    assert f"there are {len(every)} verdicts" in said
+    assert "not printed, but derived from printed ones" in said
+    assert "And ours: the joint p is below 0.05" in said
+    bars = [one["attributes"]["aria-label"] for one in page.of("svg", class_="bar")]
+    assert f"({wide} wide)" in bars[0]
+    ledger = [row["text"] for row in page.of("tr") if "data-row" in row["attributes"]]
+    assert sum("(with the misprint)" in row for row in ledger) == 2
+    assert any("0.050" in row and "and ours" not in row for row in ledger if "chen_example3" in row)
+
+
+def test_runs_of_the_same_printed_numbers_name_each_other(read):
+    for one, other in (("chen_vif", "chen_table1"), ("chen_table1", "chen_vif")):
+        page = read[f"runs/{one}.html"]
+        assert (other, f"{other}.html") in {(e["text"], e["attributes"].get("href")) for e in page.of("a")}
+        assert "The same printed numbers stand beside" in " ".join(page.text_of("p"))
+    assert "there the joint p rejects our reading" in " ".join(read["runs/chen_table1.html"].text_of("p"))
+
+
+def test_numbers_of_ours_beside_one_printed_number_are_told_apart(read):
+    where = [text for text in read["runs/mzyk_reduction.html"].text_of("p") if "small and moderate N" in text]
+    assert len(where) == len({*where}) == len(rows_of("mzyk_reduction"))
+
+
+def test_a_table_says_at_its_bar_what_it_could_not_tell_from_our_reading(read):
+    said = " ".join(read["runs/chen_table1.html"].text_of("p"))
+    assert "What it could not tell from our reading: " in said
+    assert "noise twice as strong" in said.partition("What it could not tell")[2][:400]
 
 
 def test_every_table_of_the_ledger_stands_on_the_front_page(read):
@@ -152,7 +257,7 @@ def test_differences_stand_beside_their_reasons(read):
     page = read["runs/mzyk_table1.html"]
     [first, second] = page.of("div", class_="reason")
     assert "falls more slowly than h ~ N^-1/5 allows" in first["text"]
-    assert "printed 4.42, ours 2.807 [2.245, 3.528]" in " ".join(first["text"].split())
+    assert "printed 4.42, ours 2.807 [2.245 to 3.528]" in " ".join(first["text"].split())
     assert "9.06" in second["text"]
     assert "4.87" in second["text"]
 
@@ -197,7 +302,7 @@ def test_alternatives_stand_with_what_they_change_and_what_the_table_makes_of_th
         for row in read["runs/mzyk_table1.html"].of("tr")
         if "pole 0.6 for 0.8" in row["text"]
     ]
-    assert rows == ["pole 0.6 for 0.8system.linear.a: [0.6]6 of 240.00014rejected"]
+    assert rows == ["pole 0.6 for 0.8system.linear.a: [0.6]6 of 24< 0.001rejected"]
 
 
 def test_each_key_of_a_configuration_leads_to_its_meaning(read):
@@ -475,7 +580,7 @@ def test_the_front_page_counts_each_printed_number_once(read):
     verdicts = sum(mark in ("", "multiplicity") for marks in places.values() for mark in marks)
     assert said.startswith(f"{sum(papers.values())} printed numbers of {len(papers)} papers.")
     assert f"{len(counting)} count; of the others, " in said
-    assert f"so there are {verdicts} verdicts:" in said
+    assert f"there are {verdicts} verdicts, and" in said
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     typed = re.findall(r"\[(\d+) (?:printed )?numbers judged[^]]*\]\(experiments/(\w+)/README.md\)", readme)
     assert {paper: int(count) for count, paper in typed} == papers

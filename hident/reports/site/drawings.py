@@ -16,7 +16,7 @@ import numpy as np
 from hident.arrays import Array
 from hident.ledger.verify import TableState
 from hident.reports.site.facts import WORDS
-from hident.reports.site.numbers import Number
+from hident.reports.site.numbers import Number, chance
 from hident.reports.tables.writing import SIGNS, written
 
 _PATTERNS = """\
@@ -34,10 +34,12 @@ _STYLE = """\
 text{font:13px system-ui,sans-serif;fill:#1c2126}.muted{fill:#59636e}.head{font-weight:600}\
 .v-exact{fill:#14624a}.v-agrees{fill:#6fae95}.v-untestable{fill:#f2dfae}.v-differs{fill:#fbe3e0}\
 .line{stroke:#2f6d56;stroke-width:2}.dot{fill:#7a5b00}.cross{stroke:#a1271b;stroke-width:1.3;fill:none}\
+.v-wide{fill:#fff;opacity:.65}\
 .edge{fill:none;stroke:#59636e}\
 @media (prefers-color-scheme:dark){text{fill:#e6e9ec}.muted{fill:#a4adb6}\
 .v-exact{fill:#7fe0b8}.v-agrees{fill:#2f7d61}.v-untestable{fill:#4a3d18}.v-differs{fill:#52201b}\
-.line{stroke:#9fd9c3}.dot{fill:#e6c766}.cross{stroke:#ff9c90}.edge{stroke:#a4adb6}}"""
+.line{stroke:#9fd9c3}.dot{fill:#e6c766}.cross{stroke:#ff9c90}.edge{stroke:#a4adb6}\
+.v-wide{fill:#14181c}}"""
 
 
 def patterns() -> str:
@@ -45,20 +47,28 @@ def patterns() -> str:
     return f'<svg class="defs" width="0" height="0" aria-hidden="true"><defs>{_PATTERNS}</defs></svg>'
 
 
-def in_words(counts: Mapping[str, int]) -> str:
+def in_words(counts: Mapping[str, int], wide: int = 0) -> str:
     """The numbers of each verdict, as '2 exact, 1 differs'; those of none are left out."""
-    return ", ".join(f"{counts[word]} {word}" for word in WORDS if counts.get(word)) or "no number counts"
+    said = [
+        f"{counts[word]} {word}" + f" ({wide} wide)" * (word == "agrees" and wide > 0)
+        for word in WORDS
+        if counts.get(word)
+    ]
+    return ", ".join(said) or "no number counts"
 
 
-def bar(counts: Mapping[str, int], width: float = 240.0, height: float = 16.0) -> str:
-    """A bar of the verdicts of a table, as a drawing of its own."""
+def bar(counts: Mapping[str, int], width: float = 240.0, height: float = 16.0, wide: int = 0) -> str:
+    """A bar of the verdicts of a table, as a drawing of its own; ``wide`` ones that agree are paler."""
+    said = in_words(counts, wide)
     return (
-        f'<svg class="bar" viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{in_words(counts)}" '
-        f'preserveAspectRatio="none">{_segments(counts, 0.0, 0.0, width, height)}</svg>'
+        f'<svg class="bar" viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{said}" '
+        f'preserveAspectRatio="none">{_segments(counts, 0.0, 0.0, width, height, wide)}</svg>'
     )
 
 
-def _segments(counts: Mapping[str, int], x: float, y: float, width: float, height: float) -> str:
+def _segments(
+    counts: Mapping[str, int], x: float, y: float, width: float, height: float, wide: int = 0
+) -> str:
     total = sum(counts.get(word, 0) for word in WORDS)
     parts = []
     for word in WORDS:
@@ -69,6 +79,10 @@ def _segments(counts: Mapping[str, int], x: float, y: float, width: float, heigh
                 f'<rect class="edge" x="{x:.4g}" y="{y:g}" width="{share:.4g}" height="{height:g}"/>'
             )
             x += share
+            if word == "agrees" and wide:
+                of_wide = width * wide / total
+                at, size = f'x="{x - of_wide:.4g}" y="{y:g}"', f'width="{of_wide:.4g}" height="{height:g}"'
+                parts.append(f'<rect class="v-wide" {at} {size}/>')
     return "".join(parts)
 
 
@@ -78,8 +92,9 @@ def ledger(groups: Sequence[tuple[str, Sequence[tuple[str, TableState]]]]) -> st
     Each table has a bar of its verdicts, their numbers, the joint p-value and the mutation score.
     """
     row, left, width = 24.0, 250.0, 300.0
-    columns = {word: left + width + 34.0 + 44.0 * i for i, word in enumerate(WORDS)}
-    joint, score, full = 800.0, 830.0, 960.0
+    # Behind those that agree stands how many of them are wide.
+    columns = {word: left + width + 34.0 + 44.0 * i + 24.0 * (i > 1) for i, word in enumerate(WORDS)}
+    joint, score, full = 812.0, 834.0, 970.0
     y, parts = 20.0, []
     head = [("start", 8.0, "table"), ("start", left, "printed numbers by verdict")]
     head += [("end", x, SIGNS[word]) for word, x in columns.items()]
@@ -91,18 +106,20 @@ def ledger(groups: Sequence[tuple[str, Sequence[tuple[str, TableState]]]]) -> st
         for label, table in tables:
             y += row
             parts.append(_text(16.0, y, label))
-            parts.append(_segments(table.counts, left, y - 12.0, width, 15.0))
+            parts.append(_segments(table.counts, left, y - 12.0, width, 15.0, table.wide))
             parts += [
                 _text(x, y, str(table.counts[word]), "", "end")
                 for word, x in columns.items()
                 if table.counts.get(word)
             ]
-            p = "" if math.isnan(table.joint_p) else f"{table.joint_p:.2g}"
+            if table.wide:
+                parts.append(_text(columns["agrees"] + 4.0, y, f"({table.wide})", "muted"))
+            p = "" if math.isnan(table.joint_p) else chance(table.joint_p)
             parts.append(_text(joint, y, p, "", "end"))
             if table.tried:
                 parts.append(_text(score, y, table.score))
     y += 34.0
-    said = (
+    told = (
         "exact: ours rounds to it; agrees: in our interval; untestable: under every alternative too; differs"
     )
     x = 8.0
@@ -110,10 +127,16 @@ def ledger(groups: Sequence[tuple[str, Sequence[tuple[str, TableState]]]]) -> st
         parts.append(_segments({word: 1}, x, y - 12.0, 22.0, 15.0))
         parts.append(_text(x + 28.0, y, f"{SIGNS[word]} {word}"))
         x += 130.0
-    parts.append(_text(x, y, "rejects: plausible mistakes that the table rules out, of those tried", "muted"))
+    for said_of in (
+        "pale, in brackets: agrees, by an interval that is wider than the printed number itself",
+        "rejects: plausible mistakes that the table rules out, of those tried",
+        "and ours: the joint p is below 0.05, so that the table rejects our own reading too",
+    ):
+        y += 20.0
+        parts.append(_text(8.0, y, said_of, "muted"))
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {full:g} {y + 14:g}" role="img">'
-        f"<title>Printed numbers of each table by verdict</title><desc>{said}</desc>"
+        f"<title>Printed numbers of each table by verdict</title><desc>{told}</desc>"
         f"<style>{_STYLE}</style><defs>{_PATTERNS}</defs>{''.join(parts)}</svg>\n"
     )
 

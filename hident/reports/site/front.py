@@ -14,8 +14,9 @@ from hident.ledger.verify import TableState
 from hident.reports.page import Page as Content
 from hident.reports.site import drawings, tables
 from hident.reports.site.facts import WORDS
-from hident.reports.site.numbers import MEANINGS, UNCOUNTED
+from hident.reports.site.numbers import DERIVED, MEANINGS, UNCOUNTED, chance
 from hident.reports.site.pages import FRONT, Page, Part, Run, Sources, paper_page, run_file, run_page
+from hident.reports.site.remarks import Remarks
 from hident.reports.site.rendering import NAVIGATION
 from hident.reports.tables.writing import SIGNS
 
@@ -39,6 +40,13 @@ class Row:
     state: TableState
     run: Run
     methods: tuple[str, ...]
+    misprints: int = 0
+    """How many of the numbers that differ are misprinted."""
+
+    @property
+    def reading(self) -> str:
+        """What the run makes of the table: its title without the name of the paper."""
+        return self.run.facts.title.partition(": ")[2] or self.run.facts.title
 
     @property
     def words(self) -> str:
@@ -61,6 +69,11 @@ class Paper:
         """How many printed numbers came out how."""
         return {word: sum(row.state.counts.get(word, 0) for row in self.rows) for word in WORDS}
 
+    @property
+    def wide(self) -> int:
+        """How many agree by an interval wider than themselves."""
+        return sum(row.state.wide for row in self.rows)
+
 
 @dataclass(frozen=True)
 class Printed:
@@ -78,7 +91,8 @@ class Printed:
 def parts(sources: Sources) -> Iterator[Part]:
     """One part: the front page, the list of runs and what both are made of."""
     key = [[run.name, run.hashes, list(run.facts.faults)] for run in sources.runs]
-    yield Part(digest(["front", key, _titles(sources)]), lambda: _pages(sources))
+    said = [[name, repr(remarks)] for name, remarks in sorted(_remarks(sources).items())]
+    yield Part(digest(["front", key, _titles(sources), said]), lambda: _pages(sources))
 
 
 def picture(sources: Sources) -> str:
@@ -94,16 +108,37 @@ def picture(sources: Sources) -> str:
 def papers(sources: Sources) -> list[Paper]:
     """The papers with their tables, by their titles; tables of which no number counts are left out."""
     titles = dict(_titles(sources))
+    remarks = _remarks(sources)
     found: dict[str, list[Row]] = {}
     for run in sources.runs:
         for state in run.facts.tables:
             if any(state.counts.values()):
-                row = Row(state, run, run.facts.kinds("estimators"))
+                row = Row(
+                    state,
+                    run,
+                    run.facts.kinds("estimators"),
+                    _misprints(run, state, remarks[run.facts.paper]),
+                )
                 found.setdefault(run.facts.paper, []).append(row)
     return [
         Paper(name, titles.get(name, name), paper_page(name) if name in titles else "", tuple(rows))
         for name, rows in sorted(found.items(), key=lambda item: titles.get(item[0], item[0]).lower())
     ]
+
+
+def _remarks(sources: Sources) -> dict[str, Remarks]:
+    """What the folders of the papers say of their numbers."""
+    return {
+        paper: Remarks.of(sources.experiments / paper) for paper in {run.facts.paper for run in sources.runs}
+    }
+
+
+def _misprints(run: Run, state: TableState, remarks: Remarks) -> int:
+    return sum(
+        remarks.is_misprint(run.facts.config, (one["table"], one["row"], one["quantity"]), one["verdict"])
+        for one in (run.facts.verdicts.rows if run.facts.verdicts else ())
+        if one["table"] == state.table and one["mark"] in COUNTED
+    )
 
 
 def _titles(sources: Sources) -> list[list[str]]:
@@ -133,6 +168,12 @@ def _pages(sources: Sources) -> Iterator[Page]:
         "counts": counts,
         "printed": printed_in(sources.runs),
         "uncounted": UNCOUNTED,
+        "wide": sum(paper.wide for paper in every),
+        "once": sum(_excludes_one(row) for paper in every for row in paper.rows),
+        "misprints": sum(row.misprints for paper in every for row in paper.rows),
+        "derived": _derived(sources),
+        "readings": _readings(every),
+        "chance": chance,
         "methods": sorted({kind for paper in every for row in paper.rows for kind in row.methods}),
         "comparisons": [(run, _picture_of(run)) for run in newest if run.facts.is_comparison],
         "measured": [
@@ -160,6 +201,59 @@ def printed_in(runs: Sequence[Run]) -> Printed:
             marks.setdefault(key, set()).add(one["mark"])
     idle = Counter(min(found) for found in marks.values() if not found & {*COUNTED})
     return Printed(len(marks), dict(sorted(idle.items())))
+
+
+@dataclass(frozen=True)
+class Readings:
+    """How the printed numbers come out that stand beside several readings of a paper."""
+
+    all: int
+    """They come out in each."""
+    some: int
+    none: int
+
+
+def _readings(every: Sequence[Paper]) -> Readings:
+    """Each printed number once; one comes out if it is exact, agrees or cannot tell."""
+    found: dict[tuple[str, ...], list[bool]] = {}
+    for paper in every:
+        for row in paper.rows:
+            for one in _rows(row):
+                key = paper.name, one["table"], one["row"], one["quantity"]
+                found.setdefault(key, []).append(one["verdict"] != "differs")
+    several = [held for held in found.values() if len(held) > 1]
+    whole, nothing = sum(map(all, several)), sum(not any(held) for held in several)
+    return Readings(whole, len(several) - whole - nothing, nothing)
+
+
+def _rows(row: Row) -> list[dict[str, str]]:
+    """The rows of verdicts.csv behind a row of the ledger that count."""
+    verdicts = row.run.facts.verdicts
+    return [
+        one
+        for one in (verdicts.rows if verdicts else ())
+        if one["mark"] in COUNTED and one["table"] == row.state.table
+    ]
+
+
+def _excludes_one(row: Row) -> int:
+    """How many agree that one alternative alone would have excluded."""
+    return sum(one["verdict"] == "agrees" and one["excluded"] == "1" for one in _rows(row))
+
+
+def _derived(sources: Sources) -> int:
+    """How many of the numbers that count follow from printed ones, and are not printed."""
+    remarks = _remarks(sources)
+    every = {
+        (run.facts.paper, key)
+        for run in sources.runs
+        for row in (run.facts.verdicts.rows if run.facts.verdicts else ())
+        if row["mark"] in COUNTED
+        and remarks[run.facts.paper]
+        .notes.get(key := (row["table"], row["row"], row["quantity"]), "")
+        .startswith(DERIVED)
+    }
+    return len(every)
 
 
 def _what(run: Run) -> str:

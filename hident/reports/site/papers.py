@@ -9,7 +9,7 @@ from hident.engine.trial import digest
 from hident.reports.site import drawings, front
 from hident.reports.site.facts import WORDS
 from hident.reports.site.markdown import document
-from hident.reports.site.numbers import MEANINGS
+from hident.reports.site.numbers import MEANINGS, chance
 from hident.reports.site.pages import Page, Part, Sources, paper_page, run_page
 from hident.reports.tables.writing import SIGNS
 
@@ -20,7 +20,11 @@ def parts(sources: Sources) -> Iterator[Part]:
     for file in sorted(sources.experiments.glob("*/README.md")):
         text, name = file.read_text(encoding="utf-8", errors="replace"), file.parent.name
         paper = judged.get(name)
-        rows = [[repr(row.state), row.run.name] for row in paper.rows] if paper else []
+        rows = (
+            [[repr(row.state), row.run.name, row.misprints, row.run.facts.title] for row in paper.rows]
+            if paper
+            else []
+        )
         yield Part(
             digest(["paper", name, text, sources.held, rows]),
             partial(_page, name, text, sources, paper),
@@ -38,6 +42,7 @@ def _page(name: str, text: str, sources: Sources, paper: front.Paper | None) -> 
         "words": WORDS,
         "signs": SIGNS,
         "meanings": MEANINGS,
+        "chance": chance,
         "page_of": lambda run: run_page(run.name),
     }
     yield Page(path, made.title or name, "Runs", "paper.html", data, passages=made.passages)

@@ -8,6 +8,7 @@ import math
 import re
 import shlex
 import struct
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -30,15 +31,16 @@ from hident.engine.run_files import (
 )
 from hident.engine.trial import digest
 from hident.errors import ConfigError
-from hident.ledger.judged import as_number, judged
-from hident.ledger.published import REASONS, Reason, read_reasons
+from hident.ledger.judged import COUNTED, as_number, judged
+from hident.ledger.published import PUBLISHED, REASONS
 from hident.ledger.trial_values import TrialValues
+from hident.ledger.verdicts import LEVEL
 from hident.reports.page import Page as Content
 from hident.reports.site import bibliography, configuration, drawings, tables
 from hident.reports.site.facts import WORDS, Facts
 from hident.reports.site.failures import failures_of
 from hident.reports.site.markdown import html
-from hident.reports.site.numbers import MARKS, MEANINGS, Number, numbers_of
+from hident.reports.site.numbers import MARKS, MEANINGS, Number, chance, numbers_of
 from hident.reports.site.pages import (
     Page,
     Part,
@@ -50,6 +52,7 @@ from hident.reports.site.pages import (
     run_page,
     shown_file,
 )
+from hident.reports.site.remarks import Remarks
 from hident.reports.tables.writing import SIGNS, written
 
 _PICTURES = (".svg", ".png", ".pdf")
@@ -67,10 +70,11 @@ def parts(sources: Sources) -> Iterator[Part]:
     """A part for each run, with its files."""
     known = {
         path: sha256(path.read_bytes()).hexdigest()
-        for path in (*sources.experiments.glob(f"*/{REASONS}"), *sources.experiments.glob("*/*.bib"))
+        for pattern in (f"*/{REASONS}", f"*/{PUBLISHED}", "*/*.bib")
+        for path in sources.experiments.glob(pattern)
     }
     kinds = [[family, *components(family)] for family in ("estimator", "metric", "table", "figure")]
-    told = _told_in(sources)
+    told, elsewhere = _told_in(sources), _elsewhere(sources)
     for run in sources.runs:
         files = {run_file(run.name, name): run.folder.path / name for name in run.files}
         shows = _shows(sources.configs / f"{run.facts.config}.yaml")
@@ -82,12 +86,13 @@ def parts(sources: Sources) -> Iterator[Part]:
                 run.facts.faults,
                 shows,
                 papers,
+                [vars(one) for one in elsewhere[run.name]],
                 kinds,
                 [[str(p), h] for p, h in known.items()],
                 [sources.named(run.facts.config), _is_accepted(run, sources)],
             ]
         )
-        yield Part(key, partial(_page, run, sources, shows, papers), files)
+        yield Part(key, partial(_page, run, sources, shows, papers, elsewhere[run.name]), files)
 
 
 def _told_in(sources: Sources) -> dict[str, list[tuple[str, str]]]:
@@ -118,6 +123,53 @@ def _shows(config: Path) -> str:
 
 
 @dataclass(frozen=True)
+class Elsewhere:
+    """Another run that stands beside printed numbers of this one."""
+
+    page: str
+    name: str
+    title: str
+    numbers: int
+    """How many printed numbers both stand beside."""
+    otherwise: int
+    """How many of them have another verdict there."""
+    rejects_ours: tuple[str, ...]
+    """The tables that reject our reading there as a whole."""
+
+
+def _elsewhere(sources: Sources) -> dict[str, list[Elsewhere]]:
+    """For each run the others that stand beside the same printed numbers."""
+    words = {run.name: _words(run) for run in sources.runs}
+    found: dict[str, list[Elsewhere]] = {}
+    for run in sources.runs:
+        found[run.name] = []
+        for other in sources.runs:
+            both = words[run.name].keys() & words[other.name].keys()
+            if other.name != run.name and other.facts.paper == run.facts.paper and both:
+                rejected = [state.table for state in other.facts.tables if state.joint_p < LEVEL]
+                found[run.name].append(
+                    Elsewhere(
+                        run_page(other.name),
+                        other.name,
+                        other.facts.title,
+                        len(both),
+                        sum(words[run.name][key] != words[other.name][key] for key in both),
+                        tuple(rejected),
+                    )
+                )
+    return found
+
+
+def _words(run: Run) -> dict[tuple[str, ...], set[str]]:
+    """The verdicts of a run on each printed number that counts."""
+    found: dict[tuple[str, ...], set[str]] = {}
+    for row in run.facts.verdicts.rows if run.facts.verdicts else ():
+        if row["mark"] in COUNTED:
+            found.setdefault((row["table"], row["row"], row["quantity"]), set()).add(row["verdict"])
+    return found
+
+
+@dataclass(frozen=True)
 class Figure:
     """A figure of a run."""
 
@@ -132,12 +184,14 @@ class Figure:
     kind: str
 
 
-def _page(run: Run, sources: Sources, shows: str, told: Sequence[tuple[str, str]]) -> Iterator[Page]:
+def _page(
+    run: Run, sources: Sources, shows: str, told: Sequence[tuple[str, str]], elsewhere: Sequence[Elsewhere]
+) -> Iterator[Page]:
     facts, path = run.facts, run_page(run.name)
     trials, astray = _trials(run)
-    numbers, unreadable = _numbers(run, trials)
-    reasons = _reasons(sources.experiments / facts.paper) if facts.paper else ()
-    differing = _differing(numbers, facts, reasons)
+    remarks = Remarks.of(sources.experiments / facts.paper) if facts.paper else Remarks({}, ())
+    numbers, unreadable = _numbers(run, trials, remarks)
+    differing = _differing(numbers, facts, remarks)
     page_text = _text_of(run, PAGE)
     content = Content.read(page_text) if page_text else None
     said = "\n\n".join(_said(content)) if content else ""
@@ -148,6 +202,9 @@ def _page(run: Run, sources: Sources, shows: str, told: Sequence[tuple[str, str]
         "faults": [*facts.faults, *astray, *unreadable],
         "shows": shows,
         "told": told,
+        "elsewhere": elsewhere,
+        "misprinted": Counter(one.judged.printed.table for one in numbers if one.is_misprint),
+        "chance": chance,
         "file": partial(run_file, run.name),
         "grids": tables.grids(numbers[: tables.MOST_NUMBERS]),
         "more_numbers": max(len(numbers) - tables.MOST_NUMBERS, 0),
@@ -206,14 +263,14 @@ def _said(content: Content) -> Iterator[str]:
             yield paragraph
 
 
-def _numbers(run: Run, trials: TrialValues | None) -> tuple[list[Number], list[str]]:
+def _numbers(run: Run, trials: TrialValues | None, remarks: Remarks) -> tuple[list[Number], list[str]]:
     """The printed numbers of a run; and what is wrong with their file."""
     verdicts = run.facts.verdicts
     if verdicts is None:
         return [], []
     try:
         rows = judged(run.folder.path / VERDICTS, verdicts.resolved, trials)
-        return list(numbers_of(rows, verdicts.power, trials)), []
+        return list(numbers_of(rows, verdicts.power, trials, remarks, verdicts.config)), []
     except ConfigError as error:
         return [], [str(error).replace(f"{run.folder.path}/", "")]
 
@@ -224,23 +281,18 @@ def _text_of(run: Run, name: str) -> str:
     return (run.folder.path / name).read_text(encoding="utf-8", errors="replace")
 
 
-def _reasons(paper: Path) -> tuple[Reason, ...]:
-    try:
-        return read_reasons(paper)
-    except ConfigError:
-        return ()
-
-
-def _differing(
-    numbers: Sequence[Number], facts: Facts, reasons: Sequence[Reason]
-) -> list[tuple[str, list[Number]]]:
+def _differing(numbers: Sequence[Number], facts: Facts, remarks: Remarks) -> list[tuple[str, list[Number]]]:
     """The numbers that differ, those of one reason together; the reasons are those of today."""
     found: dict[str, list[Number]] = {}
     for one in numbers:
         it = one.judged
         if it.word == "differs":
-            today = next((r.reason for r in reasons if r.covers(facts.config, it.key)), it.reason)
-            said = today or MARKS.get(it.mark, "").capitalize() or "No reason is given yet."
+            today = remarks.reason(facts.config, it.key)
+            said = (
+                (today.reason if today else it.reason)
+                or MARKS.get(it.mark, "").capitalize()
+                or "No reason is given yet."
+            )
             found.setdefault(said, []).append(one)
     return list(found.items())
 

@@ -68,25 +68,28 @@ def _grid(table: str, numbers: Sequence[Number]) -> Grid:
     if 2 * len(cells) < len(rows) * len(columns):
         lines = {row: [one for (of, _), there in cells.items() if of == row for one in there] for row in rows}
         body = (
-            (row, (tuple((one.judged.printed.quantity, one) for one in line),)) for row, line in lines.items()
+            (
+                row,
+                (
+                    tuple(
+                        (", ".join(filter(None, (one.judged.printed.quantity, one.case))), one)
+                        for one in line
+                    ),
+                ),
+            )
+            for row, line in lines.items()
         )
         return Grid(table, "row", ("printed and ours",), tuple(body), intervals)
 
     def at(row: str, quantity: str) -> tuple[Labelled, ...]:
         there = cells.get((row, quantity), [])
-        return tuple(zip(_told_apart(there), there, strict=True))
+        return tuple((one.case, one) for one in there)
 
     if len(columns) > max(8, len(rows)):
         turned = ((column, tuple(at(row, column) for row in rows)) for column in columns)
         return Grid(table, "quantity", tuple(rows), tuple(turned), intervals)
     straight = ((row, tuple(at(row, column) for column in columns)) for row in rows)
     return Grid(table, "row", tuple(columns), tuple(straight), intervals)
-
-
-def _told_apart(numbers: Sequence[Number]) -> list[str]:
-    """What tells several of ours beside one printed number apart."""
-    said = [one.of.split(", ") for one in numbers]
-    return [", ".join(part for part in parts if not all(part in other for other in said)) for parts in said]
 
 
 @dataclass(frozen=True)
