@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hident.arrays import Characteristic
+from hident.arrays import Array, Characteristic
 from hident.config.suggest import one_of
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction, significant
 from hident.numerics.freedoms import Freedom, multiple
@@ -342,21 +342,30 @@ def _slope(function: Characteristic) -> float:
     return slope
 
 
-def known_function(rule: str, known: Characteristic, values: str = "b") -> Normalisation:
-    """The nonlinearity is the known one, and the linear block holds the rest of the gain."""
+def known_function(
+    rule: str, known: Characteristic, values: str = "b", *, constant: bool = False
+) -> Normalisation:
+    """The nonlinearity is the known one, and the linear block holds the rest of the gain.
+
+    With ``constant`` one beside it is estimated, and the nonlinearity of a system may have any.
+    """
+
+    def at_probes(function: Characteristic) -> Array:
+        return function(_PROBES) - (function(np.zeros(1)) if constant else 0.0)
 
     def factors(truth: Truth, dt: float | None) -> Factors | None:
         if truth.nonlinearity is None:
             return None
         with np.errstate(all="ignore"):
-            ratio = multiple(truth.nonlinearity(_PROBES), known(_PROBES))
+            ratio = multiple(at_probes(truth.nonlinearity), at_probes(known))
             # Of a Wiener system it is the argument that takes a factor.
             if ratio is not None and abs(ratio - 1.0) > CLOSE and truth.rescaled is not None:
                 moved = truth.rescaled({"nonlinearity": ratio}).nonlinearity
-                one = None if moved is None else multiple(moved(_PROBES), known(_PROBES))
+                one = None if moved is None else multiple(at_probes(moved), at_probes(known))
                 ratio = ratio if one is not None and abs(one - 1.0) <= CLOSE else None
         if ratio is None:
-            raise ValueError("the system's nonlinearity is not a multiple of it")
+            beside = " and a constant" if constant else ""
+            raise ValueError(f"the system's nonlinearity is not a multiple of it{beside}")
         return {"nonlinearity": ratio}
 
     return Normalisation(rule, _parts(values, *_BOTH), factors)

@@ -38,6 +38,7 @@ def scoring(plan: Plan) -> Iterator[str]:
     signs: dict[str, dict[str, list[str]]] = {}
     said: dict[str, list[str]] = {}
     apart: dict[tuple[str, str], list[str]] = {}
+    counted: dict[tuple[str, str], list[str]] = {}
     factors: dict[str, dict[str, list[str]]] = {}
     turned: dict[str, dict[str, list[str]]] = {}
     for unit in plan.units:
@@ -51,6 +52,8 @@ def scoring(plan: Plan) -> Iterator[str]:
                 _add(by.setdefault(unit.name, {}).setdefault(place, []), f"{factor:.4g}{at}")
             if words := _taken_off(metric, unit):
                 _add(apart.setdefault((name, words), []), unit.name)
+            if words := _counted(metric, unit):
+                _add(counted.setdefault((name, words), []), unit.name)
             if words := metric.says(unit.data.dt):
                 _add(said.setdefault(name, []), words)
     for words, metrics in _alike(rules):
@@ -65,6 +68,8 @@ def scoring(plan: Plan) -> Iterator[str]:
         yield f"The truth is turned to that sign: {'; '.join(_divided(turned))}."
     for (name, words), estimators in apart.items():
         yield f"Metric {name}: up to {words}, which the method leaves open ({one_of(estimators)})."
+    for (name, words), estimators in counted.items():
+        yield f"Metric {name}: {words} ({one_of(estimators)})."
     for name, sentences in said.items():
         yield f"Metric {name}: {'; '.join(sentences)}."
     yield from _in_several_units(plan)
@@ -188,6 +193,20 @@ def _taken_off(metric: MetricSpec, unit: Unit) -> str:
         return ""
     complete = completed(metric, unit.estimator, unit.data.dt)
     return in_words(complete.up_to or ()) if isinstance(complete, Comparing) else ""
+
+
+def _counted(metric: MetricSpec, unit: Unit) -> str:
+    """What is not chosen though the method leaves it open, because something else is written."""
+    if not isinstance(metric, Comparing) or not metric.up_to:
+        return ""
+    complete = completed(metric.model_copy(update={"up_to": None}), unit.estimator, unit.data.dt)
+    left = [
+        one for one in (isinstance(complete, Comparing) and complete.up_to) or () if one not in metric.up_to
+    ]
+    if not left:
+        return ""
+    remedy = ", ".join([*metric.up_to, *left])
+    return f"{in_words(left)} counts, which the method leaves open, unless 'up_to: [{remedy}]' is written"
 
 
 def _alike(rules: Mapping[str, dict[str, list[str]]]) -> Iterator[tuple[str, list[str]]]:

@@ -158,3 +158,55 @@ def test_a_table_says_where_a_true_nonlinearity_has_a_constant_that_a_method_doe
         assert not [line for line in scoring(plan_of(_beside({"e": one}))) if "at zero" in line]
     through = text.replace("[0.6, 1, 0.5]", "[0, 1, 0.5]")
     assert not [line for line in scoring(plan_of(through)) if "at zero" in line]
+
+
+BESIDE = """\
+version: 1
+title: A constant beside what is written
+trials: 2
+samples: 100
+system:
+  kind: hammerstein
+  nonlinearity: {kind: polynomial, coefficients: [0.6, 1, 0.5]}
+  linear: {kind: fir, b: [2, 1]}
+excitation: {kind: iid, distribution: uniform, low: -2, high: 2}
+noise: {kind: white, std: 0.1}
+estimators:
+  with: {kind: two_stage, lags: 2, degree: 2, delay: 0, constant: true}
+  without: {kind: two_stage, lags: 2, degree: 2, delay: 0}
+metrics:
+  m: {kind: mise, interval: [-1, 1]}
+"""
+
+
+def test_a_constant_that_is_not_written_beside_what_is_counts_and_table_md_says_so(plan_of):
+    def said(*settings):
+        return " ".join(scoring(plan_of(BESIDE, *settings)))
+
+    counts = (
+        "a constant counts, which the method leaves open, unless 'up_to: [gain, sign, constant]' is written"
+    )
+    assert f"{counts} (with)." in said("metrics.m.up_to=[gain, sign]")
+    assert "counts" not in said("metrics.m.up_to=[gain, sign, constant]")
+    assert "counts" not in said()
+
+
+@pytest.mark.parametrize("constant", ["false", "true"])
+def test_a_known_nonlinearity_without_the_constant_of_the_system_is_told(plan_of, constant):
+    quadratic = "{kind: polynomial, coefficients: [0, 1, 0.5]}"
+    known = f"{{kind: known_nonlinearity, lags: 2, delay: 0, nonlinearity: {quadratic}"
+    only = "metrics={m: {kind: value, of: [b_0]}}"
+    plan = plan_of(BESIDE, f"estimators={{known: {known}, constant: {constant}}}}}", only)
+    assert ("takes it to be 0 there" in " ".join(scoring(plan))) is (constant == "false")
+
+
+def test_the_values_of_a_known_nonlinearity_with_a_constant_are_compared():
+    record = hi.simulate(
+        hi.Hammerstein(nonlinearity=QUADRATIC, linear=hi.Fir(b=[2, 1])),
+        hi.Iid(distribution="uniform", low=-2, high=2),
+        300,
+    )
+    known = hi.Polynomial(coefficients=[0, 1, 0.5])
+    estimator = hi.KnownNonlinearity(lags=2, delay=0, nonlinearity=known, constant=True)
+    scores = hi.score(hi.fit(estimator, record), record, estimator, e=hi.Error(of=["b_0", "b_1"]))
+    assert max(map(abs, scores.values())) < 1e-9

@@ -96,7 +96,8 @@ class KnownNonlinearity(WeightedSpec):
         return {"b": IMPULSE_RESPONSE}
 
     def normalisations(self) -> tuple[Normalisation, ...]:
-        return (known_function("the nonlinearity is the given one", self.nonlinearity),)
+        rule = known_function("the nonlinearity is the given one", self.nonlinearity, constant=self.constant)
+        return (rule.beside(self.constant, through_zero=not self.nonlinearity(np.zeros(1))[0]),)
 
     def names(self) -> list[str]:
         return [*with_errors(self.b_names()), *self.noise_names(), *self.constant_names()]
