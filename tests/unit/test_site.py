@@ -682,3 +682,33 @@ def test_a_bar_has_a_length_for_each_verdict_and_says_it_in_words():
     bar = drawings.bar({"exact": 1, "differs": 3}, 100)
     assert 'aria-label="1 exact, 3 differs"' in bar
     assert bar.count('width="25"') == bar.count('width="75"') == 2
+
+
+def test_no_page_of_a_record_shows_the_folders_of_a_machine(site):
+    for path in (front.FRONT, run_page("data_tanks")):
+        said = (site / path).read_text(encoding="utf-8")
+        assert "Measured record dataBenchmark.csv" in said
+        assert "record ../" not in said
+    assert tables.without_folders("Record /home/a/b.csv: 3 m/s") == "Record b.csv: 3 m/s"
+
+
+def test_the_front_page_shows_no_statistics_of_single_trials(site):
+    said = (site / front.FRONT).read_text(encoding="utf-8").partition('id="measured"')[2]
+    assert ">trials</th>" not in said and "data_example" in said
+
+
+def test_a_popover_has_a_button_that_closes_it(read):
+    elements = read[run_page("chen_table1")].elements
+    opened = {e["attributes"]["id"] for e in elements if "popover" in e["attributes"]}
+    closed = {
+        e["attributes"]["popovertarget"]
+        for e in elements
+        if e["attributes"].get("popovertargetaction") == "hide"
+    }
+    assert opened and opened == closed
+
+
+def test_print_leaves_popovers_out(site):
+    (css,) = site.rglob("site*.css")
+    printed = css.read_text(encoding="utf-8").partition("@media print")[2]
+    assert ".detail[popover] { display: none; }" in printed

@@ -155,6 +155,7 @@ def _pages(sources: Sources) -> Iterator[Page]:
     every = papers(sources)
     counts = {word: sum(paper.counts[word] for paper in every) for word in WORDS}
     newest = sorted(sources.runs, key=lambda run: (run.facts.finished, run.name), reverse=True)
+    titled = dict(_titles(sources))
     common = {
         "drawings": drawings,
         "words": WORDS,
@@ -174,6 +175,8 @@ def _pages(sources: Sources) -> Iterator[Page]:
         "derived": _derived(sources),
         "readings": _readings(every),
         "chance": chance,
+        "without_folders": tables.without_folders,
+        "source_of": {run.name: paper_page(run.facts.config) for run in newest if run.facts.config in titled},
         "methods": sorted({kind for paper in every for row in paper.rows for kind in row.methods}),
         "comparisons": [(run, _picture_of(run)) for run in newest if run.facts.is_comparison],
         "measured": [
@@ -272,9 +275,10 @@ def _picture_of(run: Run) -> str:
 
 
 def _first_table(run: Run) -> tables.Shown | None:
-    """The beginning of the first table of a run; None if there is none."""
+    """The beginning of the first table of a run; none where it is of statistics over trials."""
     if PAGE not in run.files:
         return None
     text = (run.folder.path / PAGE).read_text(encoding="utf-8", errors="replace")
     found = Content.read(text).tables
-    return tables.shown(found[0], _MOST_CELLS) if found else None
+    is_of_trials = bool(found) and "trials" in found[0].header
+    return tables.shown(found[0], _MOST_CELLS) if found and not is_of_trials else None

@@ -254,7 +254,7 @@ def _trials(run: Run) -> tuple[TrialValues | None, list[str]]:
 
 def _said(content: Content) -> Iterator[str]:
     """What table.md says of the run as a whole, but for what the page shows elsewhere."""
-    yield from content.above[1:]
+    yield from map(tables.without_folders, content.above[1:])
     inside = False
     for paragraph in content.below:
         # The numbers that differ stand as a list below their reason.
@@ -365,7 +365,7 @@ def _provenance(facts: Facts) -> Iterator[tuple[str, str]]:
         yield "seed", str(facts.seed)
     if facts.trials is not None:
         yield "trials of each estimator and case", str(facts.trials)
-    yield from (("measured record", record) for record in facts.records)
+    yield from (("measured record", tables.without_folders(record)) for record in facts.records)
     if known.get("hident"):
         yield "hident", str(known["hident"])
     if commit := known.get("git_commit"):

@@ -166,6 +166,14 @@ def _cell(text: str) -> Cell:
     return Cell(found[1], _VERDICTS[found[2]], found[3]) if found else Cell(text)
 
 
+_FOLDERS = re.compile(r"(?<!\S)(?:\.\.?/|/)[^\s:,]*/")
+
+
+def without_folders(text: str) -> str:
+    """What is said of files, by their names alone: their folders are those of one machine."""
+    return _FOLDERS.sub("", text)
+
+
 def records(file: Path) -> list[dict[str, str]]:
     """The rows of a CSV by the names of its columns; none if it cannot be read."""
     try:
