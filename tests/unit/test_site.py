@@ -712,3 +712,23 @@ def test_print_leaves_popovers_out(site):
     (css,) = site.rglob("site*.css")
     printed = css.read_text(encoding="utf-8").partition("@media print")[2]
     assert ".detail[popover] { display: none; }" in printed
+
+
+def test_the_front_page_explains_the_columns_of_a_record_and_rounds_p_values(site):
+    said = (site / front.FRONT).read_text(encoding="utf-8").partition('id="measured"')[2]
+    assert "RMSE in V, fit index in percent" in said and "Metric white: p-value of" in said
+    assert "&lt; 1e-3" in said and not re.search(r">\d\.\d+e-(\d{3}|0[4-9]|[1-9]\d)<", said)
+
+
+def test_a_readme_that_a_configuration_names_is_a_link_where_it_has_a_page(site):
+    said = (site / run_page("data_tanks")).read_text(encoding="utf-8")
+    assert re.search(r'<p class="lead">.*<a href="[^"]+">experiments/data_tanks/README.md</a>', said)
+
+
+def test_a_readme_without_a_page_stays_text(tmp_path):
+    sources = Sources((), **{**FOLDERS, "experiments": tmp_path})
+    assert runs._linked("See experiments/none/README.md.", sources) == [
+        ("See ", ""),
+        ("experiments/none/README.md", ""),
+        (".", ""),
+    ]

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hident.engine.run_files import PAGE
 from hident.engine.trial import digest
-from hident.ledger.judged import COUNTED
+from hident.ledger.judged import COUNTED, as_number
 from hident.ledger.verify import TableState
 from hident.reports.page import Page as Content
 from hident.reports.site import drawings, tables
@@ -25,6 +26,9 @@ PICTURE = "ledger.svg"
 _PICTURES = (".svg", ".png")
 _MOST_CELLS = 80
 """Cells of a table of a measured record."""
+_P_VALUE = re.compile(r"Metric ([^:.]+): p-value")
+LEAST_P = 1e-3
+"""Of a p-value below it the front page says no more."""
 KINDS = {
     "printed": "with printed numbers",
     "comparison": "comparison of methods",
@@ -279,6 +283,19 @@ def _first_table(run: Run) -> tables.Shown | None:
     if PAGE not in run.files:
         return None
     text = (run.folder.path / PAGE).read_text(encoding="utf-8", errors="replace")
-    found = Content.read(text).tables
-    is_of_trials = bool(found) and "trials" in found[0].header
-    return tables.shown(found[0], _MOST_CELLS) if found and not is_of_trials else None
+    content = Content.read(text)
+    first = next(iter(content.tables), None)
+    if first is None or "trials" in first.header:
+        return None
+    told = tuple(part for part in content.above if part.startswith("Metric "))
+    tests = {name for part in told for name in _P_VALUE.findall(part)}
+    rows = tuple(
+        tuple(map(lambda name, cell: _rounded(cell) if name in tests else cell, first.header, row))
+        for row in first.rows
+    )
+    return tables.shown(replace(first, rows=rows, notes=(first.title, *told)), _MOST_CELLS)
+
+
+def _rounded(p: str) -> str:
+    """A p-value as one reads it: of a small one only that it is small."""
+    return "< 1e-3" if as_number(p) < LEAST_P else p

@@ -84,7 +84,7 @@ def parts(sources: Sources) -> Iterator[Part]:
                 run.name,
                 run.hashes,
                 run.facts.faults,
-                shows,
+                _linked(shows, sources),
                 papers,
                 [vars(one) for one in elsewhere[run.name]],
                 kinds,
@@ -120,6 +120,16 @@ def _shows(config: Path) -> str:
         if not line.startswith("# yaml-language-server"):
             said.append(line.lstrip("# "))
     return " ".join(said)
+
+
+def _linked(text: str, sources: Sources) -> list[tuple[str, str]]:
+    """A text in pieces, each with the page that it leads to: a README under experiments/ that is there."""
+    there = {file.parent.name for file in sources.experiments.glob("*/README.md")}
+    pieces = re.split(r"\b(experiments/\w+/README\.md)\b", text)
+    names = [piece.split("/")[1] if i % 2 else "" for i, piece in enumerate(pieces)]
+    return [
+        (piece, paper_page(name) if name in there else "") for piece, name in zip(pieces, names, strict=True)
+    ]
 
 
 @dataclass(frozen=True)
@@ -200,7 +210,7 @@ def _page(
         "facts": facts,
         "show_name": shlex.quote(f"out/{facts.config}"),
         "faults": [*facts.faults, *astray, *unreadable],
-        "shows": shows,
+        "shows": _linked(shows, sources),
         "told": told,
         "elsewhere": elsewhere,
         "misprinted": Counter(one.judged.printed.table for one in numbers if one.is_misprint),
