@@ -243,8 +243,11 @@ def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str,
     parts += [table.markdown() for table in tables.values()]
     if not tables:
         parts.append(_plain_table(results).markdown())
-    if not any("failed" in note for table in tables.values() for note in table.notes) and (
-        lost := _failed(results)
+    # The plain table says it of itself.
+    if (
+        tables
+        and not any("failed" in note for table in tables.values() for note in table.notes)
+        and (lost := _failed(results))
     ):
         parts.append(lost)
     if hanging := hanging_means(results):

@@ -222,7 +222,7 @@ class EstimatorContract(Contract):
     def _fit(self, record: Record) -> Fit:
         with np.errstate(all="ignore"):
             found = self.component.fit(record, np.random.default_rng(0))
-            return Fit(found, None if found.nonlinearity is None else found.nonlinearity(_POINTS))
+            return Fit(found, None if found.nonlinearity is None else found.nonlinearity(_POINTS.copy()))
 
     def _outcome(self, record: Record, what: str, fewest: int = 1) -> Fit | None:
         """The fit, or None where it fails for a reason of so many characters."""
@@ -296,7 +296,7 @@ def _fingerprint(found: Estimate, dt: float | None) -> bytes:
     """A hash of every number that an estimate holds."""
     numbers: list[Any] = [list(found.values.values())]
     if found.nonlinearity is not None:
-        numbers.append(found.nonlinearity(_POINTS))
+        numbers.append(found.nonlinearity(_POINTS.copy()))
     for block in (found.linear, found.continuous):
         if block is not None:
             numbers += [block.b, block.a]

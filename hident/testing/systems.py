@@ -28,7 +28,7 @@ class NonlinearityContract(Contract):
 
     def gives_an_array_of_the_shape_of_its_points(self) -> None:
         for points in (_POINTS, _POINTS[:1], _POINTS[:0], _POINTS[:60].reshape(3, 20)):
-            given = np.asarray(self.component(points))
+            given = np.asarray(self.component(points.copy()))
             must(
                 given.shape == points.shape and given.dtype == float,
                 f"at points of shape {points.shape} it gives shape {given.shape}, dtype {given.dtype}",
@@ -40,9 +40,12 @@ class NonlinearityContract(Contract):
         must(np.array_equal(points, _POINTS), "it writes to the points that it is given")
 
     def takes_each_point_by_itself(self) -> None:
-        backwards = self.component(_POINTS[::-1])[::-1]
+        backwards = self.component(_POINTS[::-1].copy())[::-1]
         np.testing.assert_allclose(
-            backwards, self.component(_POINTS), rtol=1e-12, err_msg="a value depends on the points beside it"
+            backwards,
+            self.component(_POINTS.copy()),
+            rtol=1e-12,
+            err_msg="a value depends on the points beside it",
         )
 
     def names_its_break_points_in_increasing_order(self) -> None:
@@ -54,7 +57,7 @@ class NonlinearityContract(Contract):
             said = np.full(_POINTS.shape, Formula(text, ("u",))(u=_POINTS), dtype=float)
             np.testing.assert_allclose(
                 said,
-                self.component(_POINTS),
+                self.component(_POINTS.copy()),
                 rtol=1e-12,
                 atol=1e-12,
                 err_msg="its formula is another function",
@@ -82,7 +85,7 @@ class MemoryContract(Contract):
     component: MemorySpec
 
     def gives_an_array_of_its_own_of_the_length_of_its_signal(self) -> None:
-        for u in (_SIGNAL, _SIGNAL[:1]):
+        for u in (_SIGNAL.copy(), _SIGNAL[:1].copy()):
             before = u.copy()
             y = np.asarray(self.component.simulate(u))
             must(
@@ -96,12 +99,15 @@ class MemoryContract(Contract):
         late = _SIGNAL.copy()
         late[_LATER:] += 0.1
         must(
-            np.array_equal(self.component.simulate(late)[:_LATER], self.component.simulate(_SIGNAL)[:_LATER]),
+            np.array_equal(
+                self.component.simulate(late.copy())[:_LATER],
+                self.component.simulate(_SIGNAL.copy())[:_LATER],
+            ),
             "an output depends on later samples",
         )
 
     def begins_every_experiment_anew(self) -> None:
-        first, again = (self.component.simulate(_SIGNAL) for _ in range(2))
+        first, again = (self.component.simulate(_SIGNAL.copy()) for _ in range(2))
         must(np.array_equal(first, again), "the same signal gives another output: a state is left behind")
 
     def is_no_function(self) -> None:

@@ -73,7 +73,7 @@ def test_the_commands_between_the_lines_are_there(tmp_path: Path) -> None:
 def test_the_code_of_the_concepts_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     pieces = blocks("docs/concepts.md", "python")
-    assert len(pieces) == 4
+    assert len(pieces) == 5
     space: dict[str, object] = {}
     for code in pieces:
         exec(code, space)

@@ -552,6 +552,14 @@ def test_tables_say_which_rule_a_score_used_and_what_it_leaves_apart(plan_of):
         assert list(scoring(plan)) == [
             rule,
             "The truth is brought to that form: linear block divided by 2 at the system's own delay (e).",
+            *(
+                [
+                    "Metric m: a constant counts, which the method leaves open, unless "
+                    "'up_to: [sign, constant]' is written (e)."
+                ]
+                if up_to == "[sign]"
+                else []
+            ),
             f"Metric m: up to {said}, whichever fits the truth best.",
         ]
     system = WIENER.replace("NONLINEARITY", "chen_type_3").replace("B", "[2]")

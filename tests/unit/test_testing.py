@@ -182,6 +182,8 @@ def test_faults_of_a_nonlinearity(how: str, said: str, monkeypatch: pytest.Monke
     with pytest.raises(AssertionError) as caught:
         check(_Square(low=-1, high=1))
     assert said in str(caught.value)
+    # What one writes to, no other is tried on.
+    check(hi.Power(exponent=2))
 
 
 class _Play(hi.Backlash):

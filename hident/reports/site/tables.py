@@ -19,7 +19,7 @@ MOST_CELLS = 1000
 _ON_A_PAGE = 1600
 """Cells of all tables of table.md together."""
 _FEWEST_ROWS = 5
-MOST_NUMBERS = 100
+MOST_NUMBERS = 90
 """Printed numbers of a run that a page shows; verdicts.csv has all."""
 _VERDICTS = {sign: verdict for verdict, sign in SIGNS.items()}
 _JUDGED = re.compile(r"([<>]?[-+.\deE]+) ([=~?!])((?: p\d+)?)")
