@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -12,13 +14,14 @@ from typing import Any
 import pytest
 
 from hident import plugins
-from hident.engine.executors import PoolExecutor, Workers, named_executor
+from hident.engine.executors import PoolExecutor, Workers
 from hident.engine.experiment import Plan, load
 from hident.engine.results import Results
 from hident.engine.runner import run
 from hident.engine.store import MemoryStore, TrialStore
 from hident.ledger.trial_values import TrialValues
 from hident.reports.output import Outputs
+from tests.forked import GUARD_SECONDS
 
 plugins.load()
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -57,14 +60,8 @@ def files(alone: Results, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
     return _files(alone, tmp_path_factory.mktemp("alone"))
 
 
-def _dask() -> Workers:
-    pytest.importorskip("distributed")
-    return named_executor("dask", None, 2, (), map(_plan, SOME))
-
-
 WORKERS: dict[str, Callable[[], Workers]] = {
-    **{f"{count} processes": partial(PoolExecutor, count, ()) for count in (1, 2, 4)},
-    "2 Dask workers": _dask,
+    f"{count} processes": partial(PoolExecutor, count, ()) for count in (1, 2, 4)
 }
 
 
@@ -76,6 +73,23 @@ def workers(request: pytest.FixtureRequest) -> Iterator[Workers]:
 
 def test_by_workers(name: str, files: dict[str, bytes], workers: Workers, tmp_path: Path) -> None:
     assert _files(run(_plan(name), executor=workers), tmp_path) == files
+
+
+def test_by_dask_workers(name: str, files: dict[str, bytes], tmp_path: Path) -> None:
+    """In a program of its own: other tests fork this process, where Dask's threads would then be missing."""
+    pytest.importorskip("distributed")
+    settings = [word for one in (*SOME[name], "figures={}") for word in ("--set", one)]
+    subprocess.run(
+        [
+            *(sys.executable, "-m", "hident", "run", CONFIGS / f"{name}.yaml", "--quiet"),
+            *("--executor", "dask", "--jobs", "2", "--trials", str(TRIALS), *settings),
+            *("--store", tmp_path / "store", "--out", tmp_path / "out"),
+        ],
+        cwd=tmp_path,
+        check=True,
+        timeout=GUARD_SECONDS,
+    )
+    assert {file: (tmp_path / "out" / name / file).read_bytes() for file in files} == files
 
 
 @pytest.mark.parametrize("size", [1, TRIALS])
