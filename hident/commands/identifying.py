@@ -22,7 +22,7 @@ from hident.commands.measured import record_of
 from hident.commands.models import draw_model, save_figure
 from hident.commands.showing import print_columns
 from hident.config.spec import canonical
-from hident.config.suggest import did_you_mean, one_of
+from hident.config.suggest import did_you_mean, none_of, one_of
 from hident.engine.work import pin_blas
 from hident.errors import ConfigError, EstimationError
 from hident.fitted_model import FittedModel
@@ -80,8 +80,7 @@ def identify_file(
         ("--start", start, get_args(Beginning)),
     ):
         if value not in allowed:
-            near = did_you_mean(value, allowed)
-            raise ConfigError(f"{option}: must be {one_of(allowed)}, not '{value}'{near}")
+            raise ConfigError(f"{option}: {none_of(value, allowed)}")
     spec = record_of(files, **options)
     record = spec.read(Path())
     folder = out or Path("out") / f"identify_{files[0].stem}"

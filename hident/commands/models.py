@@ -7,14 +7,14 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, cast, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 
 from hident.arrays import Array
-from hident.block_chain import BlockChain, settled_state
+from hident.block_chain import Beginning, BlockChain, settled_state
 from hident.commands.measured import record_of
-from hident.config.suggest import did_you_mean, one_of
+from hident.config.suggest import none_of
 from hident.errors import ConfigError, EstimationError
 from hident.fitted_model import FittedModel
 from hident.initial_states import showing
@@ -27,7 +27,6 @@ from hident.new_files import made_folder, replacing
 from hident.records import Record
 from hident.static_functions import StaticFunction
 
-_Start = Literal["settled", "rest", "estimated"]
 # Times written with a few digits give an interval that is off by their rounding.
 _SAME_INTERVAL = 1e-3
 # A signal computed again is off by rounding, which is not beyond a range.
@@ -108,8 +107,8 @@ def simulate_model(
             raise ConfigError(f"{path}: the name must end in {suffix}")
     if steps and compare is None:
         raise ConfigError("--k-step predicts from measured outputs: name their column by --compare")
-    if start is not None and start not in (known := get_args(_Start)):
-        raise ConfigError(f"--start: must be {one_of(known)}, not '{start}'{did_you_mean(start, known)}")
+    if start is not None and start not in get_args(Beginning):
+        raise ConfigError(f"--start: {none_of(start, get_args(Beginning))}")
     if start == "estimated" and compare is None:
         raise ConfigError(
             "--start estimated takes the states from measured outputs: name their column by --compare"
@@ -126,7 +125,7 @@ def simulate_model(
         # Inputs with nothing to compare are taken as they stand, with a warning.
         record = replace(record, detrended=True)
     if start is not None:
-        model = replace(model, start=cast(_Start, start))
+        model = replace(model, start=cast(Beginning, start))
     if not any_dt:
         model = _at_interval(record, model, data, steps)
     if start in ("settled", "estimated"):

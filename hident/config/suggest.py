@@ -21,6 +21,12 @@ def one_of(names: Iterable[str]) -> str:
     return ", ".join(str(name) for name in names)
 
 
+def none_of(value: str, allowed: Iterable[str]) -> str:
+    """The message about an option's value that is none of the allowed ones."""
+    allowed = list(allowed)
+    return f"must be {one_of(allowed)}, not '{value}'{did_you_mean(value, allowed)}"
+
+
 def there_is_no(what: str, name: str, known: Iterable[str]) -> str:
     """The message about a name that is none of the known ones."""
     known = list(known)

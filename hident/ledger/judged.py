@@ -60,6 +60,11 @@ class Judged:
         return self.mark in COUNTED
 
 
+def key_of(row: Mapping[str, str]) -> Key:
+    """The table, row and quantity in the paper that a row of verdicts.csv is of."""
+    return row["table"], row["row"], row["quantity"]
+
+
 def verdict_rows(file: Path) -> list[dict[str, str]]:
     """The rows of a verdicts.csv.
 
@@ -89,7 +94,7 @@ def judged(file: Path, resolved: Mapping[str, Any], values: TrialValues | None) 
     ConfigError as of :func:`verdict_rows`, or if a number in it is none.
     """
     rows = verdict_rows(file)
-    keys = [(row["table"], row["row"], row["quantity"]) for row in rows]
+    keys = [key_of(row) for row in rows]
     behind = [] if values is None else list(_behind(resolved, values))
     # They stand in the order in which the run judged them; anything else is not what it wrote.
     known = [key for key, *_ in behind] == keys
@@ -101,7 +106,7 @@ def judged(file: Path, resolved: Mapping[str, Any], values: TrialValues | None) 
 
 def _judged(row: Mapping[str, str], series: SeriesKey | None, statistic: Statistic | None) -> Judged:
     word: Any = row["verdict"]
-    printed = Printed(row["table"], row["row"], row["quantity"], row["printed"], "")
+    printed = Printed(*key_of(row), row["printed"], "")
     float(printed.value)
     return Judged(
         printed=printed,

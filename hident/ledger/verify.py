@@ -15,7 +15,7 @@ from hident.engine.experiment import load
 from hident.engine.run_files import MUTATIONS, NUMBERS, POWER, RUN, VERDICTS
 from hident.errors import ConfigError, NothingToCompare
 from hident.ledger.joint import combined_p
-from hident.ledger.judged import COUNTED, as_number, verdict_rows
+from hident.ledger.judged import COUNTED, as_number, key_of, verdict_rows
 from hident.ledger.power import VerdictPower, is_of
 from hident.ledger.published import PUBLISHED, Key, Reason, read_published, read_reasons
 from hident.ledger.verdicts import LEVEL
@@ -102,7 +102,7 @@ def verify(
         said += [] if configs is None else _outdated(configs / f"{config}.yaml", of_run.resolved)
         tables += of_run.tables
         for row in of_run.rows:
-            key = (row["table"], row["row"], row["quantity"])
+            key = key_of(row)
             judged.setdefault(paper, set()).add(key)
             if key not in printed or printed[key].printed != row["printed"]:
                 said.append(
@@ -237,7 +237,7 @@ def _power(
         return None, [f"they were run for another configuration: {remedy}"]
     said = []
     for row in rows:
-        number = found.numbers.get((row["table"], row["row"], row["quantity"]))
+        number = found.numbers.get(key_of(row))
         if number is not None and number.printed != row["printed"]:
             said.append(f"they were run for other printed numbers: {remedy}")
         elif number is not None and row["alternatives"] != str(len(number.excluded)):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from hident.config.suggest import one_of
 from hident.engine.comparable import (
@@ -20,7 +20,7 @@ from hident.engine.comparable import (
 )
 from hident.engine.experiment import Plan, Unit
 from hident.metrics.base import Comparing, MetricSpec
-from hident.numerics.freedoms import in_words
+from hident.numerics.freedoms import Freedom, in_words
 
 _PLACES = {
     "linear": "linear block",
@@ -191,22 +191,24 @@ def _taken_off(metric: MetricSpec, unit: Unit) -> str:
     """What is chosen for the least error though nothing is written, because the method leaves it open."""
     if not isinstance(metric, Comparing) or metric.up_to is not None:
         return ""
-    complete = completed(metric, unit.estimator, unit.data.dt)
-    return in_words(complete.up_to or ()) if isinstance(complete, Comparing) else ""
+    return in_words(_left_open(metric, unit))
 
 
 def _counted(metric: MetricSpec, unit: Unit) -> str:
     """What is not chosen though the method leaves it open, because something else is written."""
     if not isinstance(metric, Comparing) or not metric.up_to:
         return ""
-    complete = completed(metric.model_copy(update={"up_to": None}), unit.estimator, unit.data.dt)
-    left = [
-        one for one in (isinstance(complete, Comparing) and complete.up_to) or () if one not in metric.up_to
-    ]
-    if not left:
+    if not (left := [one for one in _left_open(metric, unit) if one not in metric.up_to]):
         return ""
     remedy = ", ".join([*metric.up_to, *left])
     return f"{in_words(left)} counts, which the method leaves open, unless 'up_to: [{remedy}]' is written"
+
+
+def _left_open(metric: Comparing, unit: Unit) -> Sequence[Freedom]:
+    """What the metric would choose where nothing is written: what the method leaves open."""
+    complete = completed(metric.model_copy(update={"up_to": None}), unit.estimator, unit.data.dt)
+    assert isinstance(complete, Comparing)
+    return complete.up_to or ()
 
 
 def _alike(rules: Mapping[str, dict[str, list[str]]]) -> Iterator[tuple[str, list[str]]]:

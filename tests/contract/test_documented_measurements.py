@@ -21,8 +21,9 @@ from hident.metrics.residuals import ResidualTest
 from hident.reports.output import Outputs, check
 from tests.documented import ROOT, blocks
 from tests.forked import run_forked
+from tests.octave import needs_octave
 from tests.unit.plans import planned
-from tests.unit.test_simulink import OCTAVE, octave
+from tests.unit.test_simulink import octave
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -83,7 +84,7 @@ def test_the_commands_lead_from_a_file_to_a_model_elsewhere(folder: Path) -> Non
     assert {"model.json", "table.md", "kept_apart.png", "experiment.yaml"} <= written
 
 
-@pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed: apt-get install octave")
+@needs_octave
 def test_the_matlab_function_gives_the_response_of_the_model(folder: Path) -> None:
     program = "u = linspace(0, 3, 50)'; y = tank_response(u); printf('%.17g\\n', y);"
     found = octave(folder, program)
@@ -91,7 +92,7 @@ def test_the_matlab_function_gives_the_response_of_the_model(folder: Path) -> No
     np.testing.assert_allclose(list(map(float, found)), expected, rtol=0, atol=1e-12)
 
 
-@pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed: apt-get install octave")
+@needs_octave
 def test_the_function_for_simulink_builds_the_model(folder: Path) -> None:
     [line] = octave(folder, "tank(0.5); printf('%.17g ', simulated(linspace(0.5, 3, 50)));")
     expected = hi.load_model(folder / "tanks/model.json").simulate(np.linspace(0.5, 3, 50))

@@ -1,8 +1,6 @@
 """A converted model has the same response, to 1e-12 of what its signals reach, wherever it runs."""
 
 import re
-import shutil
-import subprocess
 import sys
 from dataclasses import replace
 from typing import Any
@@ -27,7 +25,7 @@ from hident.static_functions import (
     StaticFunction,
 )
 from hident.systems.function_basis import Functions
-from tests.forked import GUARD_SECONDS
+from tests.octave import needs_octave, printed
 from tests.unit.model_maker import GIVEN, ORDERS, models
 
 # Knots of the random functions lie within some 10 of zero: a part of the input is beyond them.
@@ -136,10 +134,7 @@ def examples():
             yield FittedModel(BlockChain(blocks, dt=0.5), start=start)
 
 
-OCTAVE = shutil.which("octave-cli") or shutil.which("octave")
-
-
-@pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed: apt-get install octave")
+@needs_octave
 def test_octave_gives_the_same_response(tmp_path):
     u = np.random.default_rng(2).normal(size=60)
     formulas = (*GIVEN, hi.Expression(expression="where(1 > 0, u, -u)"))
@@ -152,17 +147,7 @@ def test_octave_gives_the_same_response(tmp_path):
     lines += ["try, model_0(ones(2)), catch refused, disp(refused.message), end"]
     # A column stays a column, one sample is a signal, and none is none.
     lines += ["disp([size(model_0(u')), size(model_0(1)), size(model_0([])), size(model_1(single(u)))]);"]
-    (tmp_path / "every_model.m").write_text("\n".join(lines))
-    done = subprocess.run(
-        [str(OCTAVE), "--norc", "--quiet", "every_model.m"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=GUARD_SECONDS,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    *responses, refused, sizes = done.stdout.splitlines()
+    *responses, refused, sizes = printed(tmp_path, "\n".join(lines))
     assert len(responses) == len(made)
     for model, line in zip(made, responses, strict=True):
         assert_same(list(map(float, line.split())), model, u)

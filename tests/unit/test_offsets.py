@@ -10,7 +10,8 @@ import hident as hi
 from hident.block_chain import BlockChain
 from hident.fitted_model import FittedModel
 from tests.forked import run_forked
-from tests.unit.test_simulink import OCTAVE, octave
+from tests.octave import needs_octave
+from tests.unit.test_simulink import octave
 
 TANK = hi.Hammerstein(
     nonlinearity=hi.Polynomial(coefficients=[0, 1, 0.3]), linear=hi.Arma(a=[0.8], b=[0, 0.2])
@@ -120,7 +121,7 @@ def test_a_system_of_control_applies_them(folder, name):
         assert_same(found, columns["simulated"])
 
 
-@pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed: apt-get install octave")
+@needs_octave
 def test_matlab_and_simulink_apply_them(folder, expected):
     _, y = expected
     for to in ("matlab", "simulink"):

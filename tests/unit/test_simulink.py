@@ -7,8 +7,6 @@ note the blocks and lines; they are then computed as Simulink's documentation sa
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -21,11 +19,10 @@ from hident.fitted_model import FittedModel
 from hident.models.plain_blocks import Filter, FormulaSum, plain_blocks
 from hident.static_functions import StaticFunction
 from hident.systems.function_basis import Functions
-from tests.forked import GUARD_SECONDS
+from tests.octave import needs_octave, printed
 from tests.unit.model_maker import GIVEN
 from tests.unit.test_conversion import NUMBER, examples
 
-OCTAVE = shutil.which("octave-cli") or shutil.which("octave")
 OFFSETS = {"offsets": {"input": 20.5, "output": -98.25}}
 WITH_FORMULAS = BlockChain(
     (
@@ -120,17 +117,7 @@ def octave(folder, program):
     """What Octave prints of a program, with the stand-ins at hand."""
     for name, text in STAND_INS.items():
         (folder / f"{name}.m").write_text(text)
-    (folder / "all_of_it.m").write_text(program)
-    done = subprocess.run(
-        [str(OCTAVE), "--norc", "--quiet", "all_of_it.m"],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=GUARD_SECONDS,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()
+    return printed(folder, program)
 
 
 def cases():
@@ -139,7 +126,7 @@ def cases():
         yield replace(model, about=OFFSETS)
 
 
-@pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed: apt-get install octave")
+@needs_octave
 def test_the_blocks_give_the_response_of_the_model(tmp_path):
     u = np.random.default_rng(2).normal(size=40) + 20.0
     made = list(cases())
@@ -158,7 +145,7 @@ def test_the_blocks_give_the_response_of_the_model(tmp_path):
         assert float(step) == 0.5
 
 
-@pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed: apt-get install octave")
+@needs_octave
 def test_without_a_first_input_it_begins_at_its_offset(tmp_path):
     model = replace(next(examples()), start="settled", about=OFFSETS)
     (tmp_path / "tank.m").write_text(hi.convert(model, "simulink", "tank"))

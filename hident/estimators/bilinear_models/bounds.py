@@ -97,7 +97,7 @@ class KnownNonlinearity(WeightedSpec):
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         rule = known_function("the nonlinearity is the given one", self.nonlinearity, constant=self.constant)
-        return (rule.beside(self.constant, through_zero=not self.nonlinearity(np.zeros(1))[0]),)
+        return (self.beside_constant(rule),)
 
     def names(self) -> list[str]:
         return [*with_errors(self.b_names()), *self.noise_names(), *self.constant_names()]

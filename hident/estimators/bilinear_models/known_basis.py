@@ -86,6 +86,12 @@ class LaggedSpec(AtOneInterval):
         """The name of the constant's value, if it is estimated."""
         return ["constant"] if self.constant else []
 
+    def beside_constant(self, rule: Normalisation) -> Normalisation:
+        """The rule, with what is said of a constant."""
+        with np.errstate(all="ignore"):
+            at_zero = [phi(np.zeros(1))[0] for phi in self.functions()]
+        return rule.beside(self.constant, through_zero=not np.any(at_zero))
+
     def basis_values(self, x: Array) -> Array:
         """The basis functions (m, N) of the input.
 
@@ -221,12 +227,6 @@ class BilinearSpec(LaggedSpec):
 
     def normalisations(self) -> tuple[Normalisation, ...]:
         return (self.beside_constant(unit_length(self.delay, self.lags, "a b", responses=True)),)
-
-    def beside_constant(self, rule: Normalisation) -> Normalisation:
-        """The rule, with what is said of a constant."""
-        with np.errstate(all="ignore"):
-            at_zero = [phi(np.zeros(1))[0] for phi in self.functions()]
-        return rule.beside(self.constant, through_zero=not np.any(at_zero))
 
     def free_parameters(self) -> int:
         # The length of b is one.

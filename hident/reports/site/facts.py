@@ -9,6 +9,7 @@ from typing import Any
 
 from hident.engine.run_files import CRASHES, POWER, RUN, VERDICTS
 from hident.errors import ConfigError
+from hident.ledger.judged import COUNTED
 from hident.ledger.verdicts import Word
 from hident.ledger.verify import RunVerdicts, TableState, verdicts_in
 from hident.run_folder import RunFolder
@@ -42,6 +43,16 @@ class Facts:
     def tables(self) -> tuple[TableState, ...]:
         """What the verdicts on each table amount to."""
         return self.verdicts.tables if self.verdicts else ()
+
+    @property
+    def rows(self) -> tuple[dict[str, str], ...]:
+        """The rows of verdicts.csv."""
+        return self.verdicts.rows if self.verdicts else ()
+
+    @property
+    def counted(self) -> tuple[dict[str, str], ...]:
+        """The rows of verdicts.csv that count."""
+        return tuple(row for row in self.rows if row["mark"] in COUNTED)
 
     @property
     def counts(self) -> dict[str, int]:

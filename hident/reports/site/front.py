@@ -10,7 +10,7 @@ from pathlib import Path
 
 from hident.engine.run_files import PAGE
 from hident.engine.trial import digest
-from hident.ledger.judged import COUNTED, as_number
+from hident.ledger.judged import COUNTED, as_number, key_of
 from hident.ledger.verify import TableState
 from hident.reports.page import Page as Content
 from hident.reports.site import drawings, tables
@@ -95,7 +95,7 @@ class Printed:
 def parts(sources: Sources) -> Iterator[Part]:
     """One part: the front page, the list of runs and what both are made of."""
     key = [[run.name, run.hashes, list(run.facts.faults)] for run in sources.runs]
-    said = [[name, repr(remarks)] for name, remarks in sorted(_remarks(sources).items())]
+    said = [[name, repr(remarks)] for name, remarks in sorted(sources.remarks.items())]
     yield Part(digest(["front", key, _titles(sources), said]), lambda: _pages(sources))
 
 
@@ -112,7 +112,6 @@ def picture(sources: Sources) -> str:
 def papers(sources: Sources) -> list[Paper]:
     """The papers with their tables, by their titles; tables of which no number counts are left out."""
     titles = dict(_titles(sources))
-    remarks = _remarks(sources)
     found: dict[str, list[Row]] = {}
     for run in sources.runs:
         for state in run.facts.tables:
@@ -121,7 +120,7 @@ def papers(sources: Sources) -> list[Paper]:
                     state,
                     run,
                     run.facts.kinds("estimators"),
-                    _misprints(run, state, remarks[run.facts.paper]),
+                    _misprints(run, state, sources.remarks[run.facts.paper]),
                 )
                 found.setdefault(run.facts.paper, []).append(row)
     return [
@@ -130,18 +129,9 @@ def papers(sources: Sources) -> list[Paper]:
     ]
 
 
-def _remarks(sources: Sources) -> dict[str, Remarks]:
-    """What the folders of the papers say of their numbers."""
-    return {
-        paper: Remarks.of(sources.experiments / paper) for paper in {run.facts.paper for run in sources.runs}
-    }
-
-
 def _misprints(run: Run, state: TableState, remarks: Remarks) -> int:
     return sum(
-        remarks.is_misprint(run.facts.config, (one["table"], one["row"], one["quantity"]), one["verdict"])
-        for one in (run.facts.verdicts.rows if run.facts.verdicts else ())
-        if one["table"] == state.table and one["mark"] in COUNTED
+        remarks.is_misprint(run.facts.config, key_of(one), one["verdict"]) for one in _rows(run, state)
     )
 
 
@@ -203,9 +193,8 @@ def printed_in(runs: Sequence[Run]) -> Printed:
     """The printed numbers that runs stand beside, each once in however many runs."""
     marks: dict[tuple[str, ...], set[str]] = {}
     for run in runs:
-        for one in run.facts.verdicts.rows if run.facts.verdicts else ():
-            key = run.facts.paper, one["table"], one["row"], one["quantity"]
-            marks.setdefault(key, set()).add(one["mark"])
+        for one in run.facts.rows:
+            marks.setdefault((run.facts.paper, *key_of(one)), set()).add(one["mark"])
     idle = Counter(min(found) for found in marks.values() if not found & {*COUNTED})
     return Printed(len(marks), dict(sorted(idle.items())))
 
@@ -225,42 +214,27 @@ def _readings(every: Sequence[Paper]) -> Readings:
     found: dict[tuple[str, ...], list[bool]] = {}
     for paper in every:
         for row in paper.rows:
-            for one in _rows(row):
-                key = paper.name, one["table"], one["row"], one["quantity"]
-                found.setdefault(key, []).append(one["verdict"] != "differs")
+            for one in _rows(row.run, row.state):
+                found.setdefault((paper.name, *key_of(one)), []).append(one["verdict"] != "differs")
     several = [held for held in found.values() if len(held) > 1]
     whole, nothing = sum(map(all, several)), sum(not any(held) for held in several)
     return Readings(whole, len(several) - whole - nothing, nothing)
 
 
-def _rows(row: Row) -> list[dict[str, str]]:
-    """The rows of verdicts.csv behind a row of the ledger that count."""
-    verdicts = row.run.facts.verdicts
-    return [
-        one
-        for one in (verdicts.rows if verdicts else ())
-        if one["mark"] in COUNTED and one["table"] == row.state.table
-    ]
+def _rows(run: Run, state: TableState) -> list[dict[str, str]]:
+    """The rows of verdicts.csv behind a table of the ledger that count."""
+    return [one for one in run.facts.counted if one["table"] == state.table]
 
 
 def _excludes_one(row: Row) -> int:
     """How many agree that one alternative alone would have excluded."""
-    return sum(one["verdict"] == "agrees" and one["excluded"] == "1" for one in _rows(row))
+    return sum(one["verdict"] == "agrees" and one["excluded"] == "1" for one in _rows(row.run, row.state))
 
 
 def _derived(sources: Sources) -> int:
     """How many of the numbers that count follow from printed ones, and are not printed."""
-    remarks = _remarks(sources)
-    every = {
-        (run.facts.paper, key)
-        for run in sources.runs
-        for row in (run.facts.verdicts.rows if run.facts.verdicts else ())
-        if row["mark"] in COUNTED
-        and remarks[run.facts.paper]
-        .notes.get(key := (row["table"], row["row"], row["quantity"]), "")
-        .startswith(DERIVED)
-    }
-    return len(every)
+    every = {(run.facts.paper, key_of(row)) for run in sources.runs for row in run.facts.counted}
+    return sum(sources.remarks[paper].notes.get(key, "").startswith(DERIVED) for paper, key in every)
 
 
 def _what(run: Run) -> str:

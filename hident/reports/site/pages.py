@@ -14,6 +14,7 @@ from urllib.parse import quote
 
 from hident.engine.run_files import MUTATIONS, NUMBERS, OWN, POWER, RUN, SENSITIVITY, is_drawn
 from hident.reports.site.facts import Facts, facts_of
+from hident.reports.site.remarks import Remarks
 from hident.run_folder import RunFolder
 
 FRONT = "index.html"
@@ -122,6 +123,12 @@ class Sources:
     """The folder of the handbook."""
     results: Path = Path("results")
     """The folder of the accepted results."""
+
+    @cached_property
+    def remarks(self) -> dict[str, Remarks]:
+        """What the folders of the papers of the runs say of their numbers; nothing of runs without one."""
+        papers = {run.facts.paper for run in self.runs}
+        return {one: Remarks.of(self.experiments / one) if one else Remarks({}, ()) for one in papers}
 
     def named(self, config: str) -> str:
         """What the commands call a configuration: its name, or the path of its file where that stands aside.

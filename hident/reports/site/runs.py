@@ -31,7 +31,7 @@ from hident.engine.run_files import (
 )
 from hident.engine.trial import digest
 from hident.errors import ConfigError
-from hident.ledger.judged import COUNTED, as_number, judged
+from hident.ledger.judged import as_number, judged, key_of
 from hident.ledger.published import PUBLISHED, REASONS
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import LEVEL
@@ -173,9 +173,8 @@ def _elsewhere(sources: Sources) -> dict[str, list[Elsewhere]]:
 def _words(run: Run) -> dict[tuple[str, ...], set[str]]:
     """The verdicts of a run on each printed number that counts."""
     found: dict[tuple[str, ...], set[str]] = {}
-    for row in run.facts.verdicts.rows if run.facts.verdicts else ():
-        if row["mark"] in COUNTED:
-            found.setdefault((row["table"], row["row"], row["quantity"]), set()).add(row["verdict"])
+    for row in run.facts.counted:
+        found.setdefault(key_of(row), set()).add(row["verdict"])
     return found
 
 
@@ -199,7 +198,7 @@ def _page(
 ) -> Iterator[Page]:
     facts, path = run.facts, run_page(run.name)
     trials, astray = _trials(run)
-    remarks = Remarks.of(sources.experiments / facts.paper) if facts.paper else Remarks({}, ())
+    remarks = sources.remarks[facts.paper]
     numbers, unreadable = _numbers(run, trials, remarks)
     differing = _differing(numbers, facts, remarks)
     page_text = _text_of(run, PAGE)
