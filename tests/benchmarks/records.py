@@ -100,14 +100,14 @@ def hidents() -> list[Contender]:
 
     def searched(record: Record, n_init: int) -> Simulate:
         model = needed(identify(record).estimate(record).model)
-        return lambda u, y: model.simulate(Record(u, y, record.dt))
+        return lambda u, y: model.simulate(Record(u, y, record.dt, offsets=record.offsets))
 
     def given(record: Record, n_init: int) -> Simulate:
         cubic = {"kind": "polynomial", "degree": 3}
         linear = {"kind": "linear", "nb": _ORDER + 1, "nf": _ORDER}
         spec = PredictionError.model_validate({"blocks": [cubic, linear, cubic], "n_init": n_init})
         model = needed(spec.fit(record).model)
-        return lambda u, y: model.simulate(Record(u, y, record.dt))
+        return lambda u, y: model.simulate(Record(u, y, record.dt, offsets=record.offsets))
 
     return [Contender("hident identify", searched), Contender("hident N-L-N, cubic, order 3", given)]
 
