@@ -18,10 +18,12 @@ from typing import Any
 
 import numpy as np
 
+from hident.arrays import Array
 from hident.engine.scores import Scores
 
 # The mark, the checksum of all that follows, the length of the whole; then the lengths of the key and of the
-# reasons, the first trial, how many trials and values of each.
+# reasons, the first trial, how many trials and values of each. The key, the reasons and the values follow:
+# four bytes for each value where that is enough for all to come back to the last bit, else eight.
 _MARK = b"\x93hident\x03"
 _BEGIN = struct.Struct("<8sII")
 _SIZES = struct.Struct("<IIqII")
@@ -51,7 +53,7 @@ class Block:
         key = self.key.encode()
         text = json.dumps(reasons, ensure_ascii=False).encode() if reasons else b""
         rest = _SIZES.pack(len(key), len(text), first, *scores.values.shape)
-        rest += key + text + scores.values.astype("<f8").tobytes()
+        rest += key + text + _shortest(scores.values).tobytes()
         return _BEGIN.pack(_MARK, zlib.crc32(rest), _BEGIN.size + len(rest)) + rest
 
     @classmethod
@@ -66,11 +68,18 @@ class Block:
         except (struct.error, TypeError):
             return None
         key, text = _SIZES.size + key_size, _SIZES.size + key_size + text_size
-        values = np.frombuffer(rest, dtype="<f8", offset=text).reshape(count, labels)
+        kind = "<f4" if len(rest) - text == 4 * count * labels else "<f8"
+        values = np.frombuffer(rest, dtype=kind, offset=text).reshape(count, labels).astype(float)
         reasons = json.loads(rest[key:text]) if text_size else {}
         failures = {first + offset: reason for reason, of in reasons.items() for offset in of}
         scores = Scores(np.arange(first, first + count), values, failures)
         return cls(rest[_SIZES.size : key].decode(), scores)
+
+
+def _shortest(values: Array) -> Array:
+    with np.errstate(over="ignore"):
+        short = values.astype("<f4")
+    return short if np.array_equal(short, values, equal_nan=True) else values.astype("<f8")
 
 
 def blocks_of(key: str, scores: Scores) -> Iterator[tuple[Block, bytes]]:

@@ -25,7 +25,9 @@ from hident.engine.blocks import Block, blocks_in, blocks_of
 from hident.engine.scores import SECONDS, Scores
 from hident.errors import StoreBusy, StoreError
 
-_FORMAT = 3
+_FORMAT = 4
+_READ = (3, _FORMAT)
+"""The formats that can be read: blocks of the third have eight bytes for each value."""
 # Blocks must fit into a page, so that each stands in one piece where pages of the file are damaged.
 _SCHEMA = f"""
 PRAGMA page_size = 65536;
@@ -193,11 +195,13 @@ class Store:
                 written = connection.execute("PRAGMA user_version").fetchone()[0]
                 if written == 0 and mode == "rwc":
                     connection.executescript(_SCHEMA)
-                elif written not in (0, _FORMAT):
+                elif written not in (0, *_READ):
                     raise StoreError(
                         f"the trials store {self.path} has format {written}, and this hident uses format "
                         f"{_FORMAT}: move it aside, or name another with --store"
                     )
+                elif written not in (0, _FORMAT) and mode == "rwc":
+                    connection.execute(f"PRAGMA user_version = {_FORMAT}")
                 connection.execute("PRAGMA synchronous = NORMAL")
                 connection.execute("PRAGMA wal_autocheckpoint = 1000")
             yield connection

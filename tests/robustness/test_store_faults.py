@@ -127,13 +127,13 @@ def test_rows_of_wrong_types_are_recomputed(filled: Lab) -> None:
 
 def test_store_of_a_newer_format(filled: Lab) -> None:
     with closing(sqlite3.connect(filled.store)) as connection:
-        connection.execute("PRAGMA user_version = 4")
+        connection.execute("PRAGMA user_version = 5")
         connection.execute("DELETE FROM blocks")
         connection.commit()
         connection.execute("VACUUM")
     for verb in (["run", "tiny.yaml", "-j1"], ["status", "tiny.yaml"]):
         assert filled.hident(*verb, code=2).stderr == (
-            "error: the trials store .hident/trials.sqlite has format 4, and this hident uses format 3: move "
+            "error: the trials store .hident/trials.sqlite has format 5, and this hident uses format 4: move "
             "it aside, or name another with --store\n"
         )
 

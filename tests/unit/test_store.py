@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import sqlite3
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hident.engine.blocks import LARGEST, Block, blocks_in, blocks_of
+from hident.engine.blocks import _BEGIN, _MARK, _SIZES, LARGEST, Block, blocks_in, blocks_of
 from hident.engine.scores import Scores
 from hident.engine.store import Count, Store
 from hident.errors import StoreBusy, StoreError
@@ -58,6 +59,42 @@ def test_values_come_back_to_the_last_bit(tmp_path: Path) -> None:
     expected = [(i, np.append(_VALUES, i).tobytes(), f"why {i % 2}") for i in range(3)]
     assert _read(store) == expected
     assert _read(store, "unknown") == []
+
+
+def test_values_that_four_bytes_hold_take_four(tmp_path: Path) -> None:
+    exact = np.array([[1.5, -0.0, np.inf, np.nan, 2.0**-149, 2.0**127]])
+    for values, size in (
+        (exact, 4),
+        (np.where(exact == 1.5, 1.5 + 2**-30, exact), 8),
+        (np.where(exact == 1.5, 1e300, exact), 8),
+    ):
+        [(_, data)] = blocks_of("k", Scores(np.array([7]), values))
+        assert len(data) - len(next(blocks_of("k", Scores(np.array([7]), values[:, :0])))[1]) == size * 6
+        found = Block.decoded(data)
+        assert found is not None
+        assert found.scores.values.dtype == np.float64
+        assert found.scores.values.tobytes() == values.tobytes()
+
+
+def test_a_store_of_the_format_before_is_read_and_goes_on(tmp_path: Path) -> None:
+    store = _filled(tmp_path)
+    whole = Scores(np.arange(5), np.arange(5.0)[:, np.newaxis])
+    key, text = b"w", b""
+    rest = _SIZES.pack(len(key), len(text), 0, 5, 1) + key + text + whole.values.tobytes()
+    data = _BEGIN.pack(_MARK, zlib.crc32(rest), _BEGIN.size + len(rest)) + rest
+    before = _read(store)
+    with closing(sqlite3.connect(store.path)) as connection, connection:
+        connection.execute("PRAGMA user_version = 3")
+        connection.execute("INSERT INTO blocks VALUES ('w', 0, 5, 0, ?)", (data,))
+    assert _trials(store, "w") == [0, 1, 2, 3, 4]
+    with store.writing() as writer:
+        assert writer.mended == ""
+        writer.add({}, [("k", _scores(8))])
+    assert _read(store)[:3] == before
+    assert _trials(store) == [0, 1, 2, 8]
+    assert [float(np.frombuffer(values)[0]) for _, values, _ in _read(store, "w")] == [0, 1, 2, 3, 4]
+    with closing(sqlite3.connect(store.path)) as connection:
+        assert connection.execute("PRAGMA user_version").fetchone() == (4,)
 
 
 def test_only_trials_below_the_wanted_number_are_read_and_in_order(tmp_path: Path) -> None:
@@ -415,10 +452,10 @@ def test_mending_goes_on_where_it_was_killed(tmp_path: Path, monkeypatch: pytest
 
 def test_a_store_of_an_earlier_format_is_refused_with_the_remedy(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    for number in (1, 2, 4):
+    for number in (1, 2, 5):
         with closing(sqlite3.connect(store.path)) as connection:
             connection.execute(f"PRAGMA user_version = {number}")
-        old = pytest.raises(StoreError, match=rf"has format {number}, and this hident uses format 3: move it")
+        old = pytest.raises(StoreError, match=rf"has format {number}, and this hident uses format 4: move it")
         with old, store.writing():
             pytest.fail("it was opened")
         with old, store.reading():
