@@ -6,7 +6,51 @@ import numpy as np
 
 from hident.arrays import Array
 from hident.errors import EstimationError
-from hident.records import Estimate, Record
+from hident.records import Estimate, Record, Response
+
+# An output at input zero that moves by less than this part of how it moves with the input is at rest.
+_AT_REST = 1e-9
+# What is left of how it moved, where it counts as settled, and the samples in which it must have done so.
+_LEFT = 1e-12
+_LONGEST = 2**20
+
+
+def from_equilibrium(response: Response, u: Array, dt: float) -> Array | None:
+    """The output (N,) to the input ``u`` (N,) before which it was zero for ever; None if that has no end.
+
+    A response from rest, to the last bit, where it rests at input zero from the first sample.
+
+    Examples
+    --------
+    >>> def lag(u, dt):  # y_k = y_(k-1) / 2 + 1 + u_k
+    ...     return np.convolve(1.0 + u, 0.5 ** np.arange(len(u)))[: len(u)]
+    >>> u = np.array([0.0, 1.0, 0.0])
+    >>> lag(u, 1.0), from_equilibrium(lag, u, 1.0).round(6)
+    (array([1.  , 2.5 , 2.25]), array([2. , 3. , 2.5]))
+    """
+    made, samples = response(u, dt), len(u)
+    with np.errstate(all="ignore"):
+        still = response(np.zeros(samples), dt)
+        if np.ptp(still) <= _AT_REST * np.std(made):
+            return made
+        while samples <= _LONGEST and np.all(np.isfinite(still)):
+            moving = np.flatnonzero(np.abs(still - still[-1]) > _LEFT * np.ptp(still))
+            settled = int(moving[-1]) + 1 if len(moving) else 0
+            if 2 * settled <= samples:
+                return response(np.concatenate((np.zeros(settled), u)), dt)[settled:]
+            samples *= 2
+            still = response(np.zeros(samples), dt)
+    return None
+
+
+def equilibrium_needed(y: Array | None, whose: str) -> Array:
+    """An output from equilibrium, if there is one; else EstimationError that says ``whose`` is missing."""
+    if y is None:
+        raise EstimationError(
+            f"the {whose} has no equilibrium at input zero in which its output could begin: a linear block "
+            "integrates a constant, or settles too slowly"
+        )
+    return y
 
 
 def simulated(estimate: Estimate, record: Record) -> Array:

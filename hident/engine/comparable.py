@@ -70,9 +70,11 @@ def kept(metric: MetricSpec, estimator: EstimatorSpec) -> Iterator[tuple[Normali
 
 def completed(metric: MetricSpec, estimator: EstimatorSpec, dt: float | None) -> MetricSpec:
     """The metric as it scores the estimator's estimates from data at sampling interval ``dt``."""
-    left: set[Freedom] = set()
-    for rule, _ in governed(metric, estimator):
-        left |= rule.left
+    rules = [rule for rule, _ in governed(metric, estimator)]
+    if "response" in metric.compares():
+        # It is of all parts.
+        rules += estimator.normalisations() or ()
+    left: set[Freedom] = set().union(*(rule.left for rule in rules))
     return metric.completed(left, estimator.discrete_step(dt))
 
 

@@ -129,6 +129,10 @@ class Comparing(MetricSpec):
             return self
         return self.model_copy(update={"up_to": tuple(n for n in self.choices if n in left)})
 
+    def left_in_words(self) -> str:
+        """What a table says of what is chosen because the method leaves it open; empty if nothing is."""
+        return f"up to {in_words(self.up_to)}, which the method leaves open" if self.up_to else ""
+
     def says(self, dt: float | None) -> str:
         if self.up_to is None:
             return ""

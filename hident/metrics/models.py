@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated
+from functools import partial
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -13,11 +14,12 @@ from hident.arrays import Array
 from hident.config.spec import Count, Of, Real, component
 from hident.errors import EstimationError, SimulationError
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction
-from hident.metrics.base import MetricSpec, Scored
-from hident.model_output import has_stable_block, simulated
+from hident.metrics.base import Comparing, MetricSpec, Scored
+from hident.model_output import equilibrium_needed, from_equilibrium, has_stable_block, simulated
+from hident.numerics.freedoms import Freedom
 from hident.numerics.parts import in_each
 from hident.numerics.rounding import is_constant
-from hident.records import Estimate, Record, needed
+from hident.records import Estimate, Record, Response, Truth, needed
 from hident.signals.base import MOST_SAMPLES, ExcitationSpec
 
 # The share of its state that a block keeps in a step below which its sampled parameters say nothing of it.
@@ -169,9 +171,51 @@ class SettlingTime(MetricSpec):
         return (needed(estimate.continuous).settling_time(self.band),)
 
 
+class _OfResponse(Comparing):
+    """Base of the errors of a whole response.
+
+    The level of an output is determined by the data. On which side of a linear block a constant stands shows
+    only where the block begins at rest: as the start of that constant.
+    """
+
+    best = "lowest"
+    choices: ClassVar[tuple[Freedom, ...]] = ("constant",)
+
+    def needs_of_truth(self) -> frozenset[str]:
+        return frozenset({"response"})
+
+    @property
+    def begins_in_equilibrium(self) -> bool:
+        """Whether the outputs do so."""
+        return "constant" in (self.up_to or ())
+
+    def left_in_words(self) -> str:
+        return (
+            f"{_IN_EQUILIBRIUM}, not at rest, as the method leaves open on which side of the linear block a "
+            "constant stands"
+            if self.begins_in_equilibrium
+            else ""
+        )
+
+    def says(self, dt: float | None) -> str:
+        if self.up_to is None:
+            return ""
+        return _IN_EQUILIBRIUM if self.begins_in_equilibrium else "both outputs begin at rest"
+
+
+_IN_EQUILIBRIUM = "both outputs begin in equilibrium at input zero"
+
+
 @component("metric", "validation_error")
-class ValidationPercentError(MetricSpec):
+class ValidationPercentError(_OfResponse):
     """Percent error of the model's noise-free response to an input that it was not fitted to.
+
+        100 (mean of (y_est - y)^2)^(1/2) / std(y)
+
+    Model and system begin at rest. Where the method leaves open on which side of the linear block a constant
+    stands, or ``up_to: [constant]`` asks for it, they begin in the equilibrium of input zero, so that the
+    start of that constant is no error; the level of the output counts. ``up_to: []`` asks for rest. The
+    standard deviation is that from equilibrium at all times, if the system has one.
 
     Infinite for a model with an unstable linear block, whose response says nothing.
 
@@ -186,15 +230,10 @@ class ValidationPercentError(MetricSpec):
     10.0
     """
 
-    best = "lowest"
-
     excitation: Annotated[ExcitationSpec, Of("excitation")]
     """The input; a random one is drawn from a stream of its own, the same in every trial."""
     samples: Annotated[Count, Field(ge=2, le=MOST_SAMPLES)]
     """Its length."""
-
-    def needs_of_truth(self) -> frozenset[str]:
-        return frozenset({"response"})
 
     def needs_of_estimate(self) -> frozenset[str]:
         return frozenset({"response"})
@@ -213,22 +252,40 @@ class ValidationPercentError(MetricSpec):
                 "starts both responses from rest, with nothing applied before time 0: "
                 "leave out 'initial' of its excitation"
             )
+        if self.begins_in_equilibrium and self._true(scored.truth, dt)[1] is None:
+            raise ValueError(
+                "begins both outputs in equilibrium at input zero, as the estimator leaves a constant open "
+                "or 'up_to: [constant]' asks for it, and the system has no equilibrium there: write "
+                "'up_to: []', by which they begin at rest"
+            )
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
-        found, true = needed(estimate.response), needed(needed(record.truth).response)
+        found = needed(estimate.response)
         if not has_stable_block(estimate):
             return (math.inf,)
         dt = 1.0 if record.dt is None else record.dt
+        at_rest, settled = record.once(
+            ("true response", self.excitation, self.samples), lambda: self._true(needed(record.truth), dt)
+        )
         u = validation_input(self.excitation, self.samples, dt)
-        return (fit_error(found(u, dt), true(u, dt)),)
+        of = at_rest if settled is None else settled
+        if self.begins_in_equilibrium:
+            made = equilibrium_needed(from_equilibrium(found, u, dt), "model")
+            return (fit_error(made, equilibrium_needed(settled, "system"), of),)
+        return (fit_error(found(u, dt), at_rest, of),)
+
+    def _true(self, truth: Truth, dt: float) -> tuple[Array, Array | None]:
+        """The true output (N,) from rest and from equilibrium."""
+        response, u = needed(truth.response), validation_input(self.excitation, self.samples, dt)
+        return response(u, dt), from_equilibrium(response, u, dt)
 
 
 @component("metric", "output_mse")
-class OutputMse(MetricSpec):
+class OutputMse(_OfResponse):
     """Mean squared difference between the model's output and the true one, to the input that was fitted.
 
     The true output is that without noise, so that what is scored is the estimate's error alone, in the
-    squared unit of the output.
+    squared unit of the output. Both begin at rest, or in equilibrium, as in :class:`ValidationPercentError`.
 
     Examples
     --------
@@ -240,11 +297,6 @@ class OutputMse(MetricSpec):
     >>> round(hi.score(estimate, record, error=hi.OutputMse())["error"], 9)
     0.01
     """
-
-    best = "lowest"
-
-    def needs_of_truth(self) -> frozenset[str]:
-        return frozenset({"response"})
 
     def needs_of_estimate(self) -> frozenset[str]:
         return frozenset({"model or response"})
@@ -258,8 +310,17 @@ class OutputMse(MetricSpec):
 
     def evaluate(self, estimate: Estimate, record: Record) -> Sequence[float]:
         response, dt = needed(needed(record.truth).response), record.dt or 1.0
-        true = in_each(record.experiments, lambda u: response(u, dt), record.u)
-        return (float(np.mean((simulated(estimate, record) - true) ** 2)),)
+
+        def settled(whose: str, response: Response, u: Array) -> Array:
+            return equilibrium_needed(from_equilibrium(response, u, dt), whose)
+
+        if self.begins_in_equilibrium and estimate.response is not None:
+            found = in_each(record.experiments, partial(settled, "model", estimate.response), record.u)
+            true = in_each(record.experiments, partial(settled, "system", response), record.u)
+        else:
+            found = simulated(estimate, record)
+            true = in_each(record.experiments, lambda u: response(u, dt), record.u)
+        return (float(np.mean((found - true) ** 2)),)
 
 
 def validation_input(excitation: ExcitationSpec, samples: int, dt: float) -> Array:
@@ -267,14 +328,17 @@ def validation_input(excitation: ExcitationSpec, samples: int, dt: float) -> Arr
     return excitation.sample(samples, dt, np.random.default_rng(0))
 
 
-def fit_error(predicted: np.ndarray, actual: np.ndarray) -> float:
-    """Root mean square error in percent of the standard deviation of the actual output, both (N,).
+def fit_error(predicted: np.ndarray, actual: np.ndarray, of: np.ndarray | None = None) -> float:
+    """Root mean square error in percent of the standard deviation of the actual output, all (N,).
+
+    With ``of`` it is in percent of that one's.
 
     Raises
     ------
     SimulationError
         If the actual output is constant, so that nothing can be in percent of how it varies.
     """
-    if is_constant(actual):
+    of = actual if of is None else of
+    if is_constant(of):
         raise SimulationError("the true output does not vary under the validation's excitation")
-    return 100.0 * float(np.sqrt(np.mean((predicted - actual) ** 2)) / np.std(actual))
+    return 100.0 * float(np.sqrt(np.mean((predicted - actual) ** 2)) / np.std(of))

@@ -67,7 +67,7 @@ def scoring(plan: Plan) -> Iterator[str]:
     if turned:
         yield f"The truth is turned to that sign: {'; '.join(_divided(turned))}."
     for (name, words), estimators in apart.items():
-        yield f"Metric {name}: up to {words}, which the method leaves open ({one_of(estimators)})."
+        yield f"Metric {name}: {words} ({one_of(estimators)})."
     for (name, words), estimators in counted.items():
         yield f"Metric {name}: {words} ({one_of(estimators)})."
     for name, sentences in said.items():
@@ -191,7 +191,7 @@ def _taken_off(metric: MetricSpec, unit: Unit) -> str:
     """What is chosen for the least error though nothing is written, because the method leaves it open."""
     if not isinstance(metric, Comparing) or metric.up_to is not None:
         return ""
-    return in_words(_left_open(metric, unit))
+    return _as_left_open(metric, unit).left_in_words()
 
 
 def _counted(metric: MetricSpec, unit: Unit) -> str:
@@ -206,9 +206,14 @@ def _counted(metric: MetricSpec, unit: Unit) -> str:
 
 def _left_open(metric: Comparing, unit: Unit) -> Sequence[Freedom]:
     """What the metric would choose where nothing is written: what the method leaves open."""
+    return _as_left_open(metric, unit).up_to or ()
+
+
+def _as_left_open(metric: Comparing, unit: Unit) -> Comparing:
+    """The metric as it scores the unit where nothing is written."""
     complete = completed(metric.model_copy(update={"up_to": None}), unit.estimator, unit.data.dt)
     assert isinstance(complete, Comparing)
-    return complete.up_to or ()
+    return complete
 
 
 def _alike(rules: Mapping[str, dict[str, list[str]]]) -> Iterator[tuple[str, list[str]]]:
