@@ -6,12 +6,9 @@ system with the factor moved keeps that rule too; where none does, values cannot
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-
-import numpy as np
 
 from hident.config.suggest import one_of
 from hident.estimators.base import (
@@ -31,9 +28,6 @@ from hident.systems.base import SystemSpec
 
 # A coefficient, of one of several blocks too: a_1, input_b_0.
 _COEFFICIENT = re.compile(r"(?:.*_)?(?P<letter>[a-h])_(?P<number>-?\d+)")
-
-# A value at zero this small beside others is rounding.
-_ROUNDED = 1e-12
 
 
 def governed(metric: MetricSpec, estimator: EstimatorSpec) -> Iterator[tuple[Normalisation, list[str]]]:
@@ -76,17 +70,6 @@ def completed(metric: MetricSpec, estimator: EstimatorSpec, dt: float | None) ->
         rules += estimator.normalisations() or ()
     left: set[Freedom] = set().union(*(rule.left for rule in rules))
     return metric.completed(left, estimator.discrete_step(dt))
-
-
-def level_at_zero(truth: Truth) -> float:
-    """The value of the true nonlinearity at zero; 0 where there is none, or no more than rounding."""
-    if truth.nonlinearity is None:
-        return 0.0
-    with np.errstate(all="ignore"):
-        level, *beside = truth.nonlinearity(np.array([0.0, -1.0, 1.0])).tolist()
-    if not math.isfinite(level) or abs(level) <= _ROUNDED * max(map(abs, beside)):
-        return 0.0
-    return float(level)
 
 
 def compared_values(metric: MetricSpec) -> list[str]:

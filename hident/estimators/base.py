@@ -10,10 +10,10 @@ from typing import ClassVar, Literal, Protocol, TypeGuard, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hident.arrays import Array, Flags
+from hident.arrays import Array, Characteristic, Flags
 from hident.config.spec import Component
 from hident.errors import EstimationError
-from hident.estimators.normalisation import Normalisation
+from hident.estimators.normalisation import MissedConstant, Normalisation
 from hident.model_output import simulated
 from hident.records import Estimate, ModelPart, Record, Response
 
@@ -139,6 +139,11 @@ class EstimatorSpec(Component):
         One rule for each set of parts; a part that none governs does not depend on the factor.
         """
         return None
+
+    def misses_constant(self, nonlinearity: Characteristic) -> MissedConstant | None:
+        """How it cannot hold the constant of a true nonlinearity; None if it can, or does not say."""
+        missed = (rule.misses(nonlinearity) for rule in self.normalisations() or ())
+        return next(filter(None, missed), None)
 
     def discrete_step(self, dt: float | None) -> float:
         """The sampling interval of the estimate's discrete linear block, given that of the data."""

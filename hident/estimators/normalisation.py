@@ -8,8 +8,9 @@ only where that keeps the rule too: the same system, with the factor moved, does
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from hident.arrays import Array, Characteristic
 from hident.config.suggest import one_of
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction, significant
 from hident.numerics.freedoms import Freedom, multiple
+from hident.numerics.least_squares import is_sum_of
 from hident.records import Estimate, Truth
 
 CLOSE = 1e-4
@@ -30,13 +32,65 @@ _STEP = 1e-6
 _SMALLER = _STEP * 10.0 ** -np.arange(1.0, 25.0)
 _GREATER = _STEP * 10.0 ** np.arange(1.0, 9.0)
 _ROUNDED = 1e-8
+# A value at zero this small beside others is rounding.
+_LEVEL = 1e-12
 # A quotient that changes by no more than the first part of it when the step is halved is the slope; one that
 # changes by more than the second is none.
 _STEADY, _VANISHING = 1e-5, 0.1
 
+# Where sums of functions are compared.
+_SIGNAL = np.linspace(-3.0, 3.0, 241)
+
 Factors = Mapping[str, float]
 """What each block of a system must be divided by to keep a rule, by its place: ``linear``, ``nonlinearity``,
 ``input`` and ``output``."""
+
+
+class MissedConstant(NamedTuple):
+    """How a method cannot hold the constant of a system's nonlinearity, which biases all that it finds.
+
+    ``is_zero`` says that it takes the nonlinearity to be zero at zero; else its functions hold no constant.
+    ``remedy`` estimates one, and ``when`` says with which of its settings it is so: with all if empty.
+    """
+
+    is_zero: bool
+    remedy: str
+    when: str = ""
+
+
+def missed_constant(
+    functions: Sequence[Characteristic], nonlinearity: Characteristic, remedy: str
+) -> MissedConstant | None:
+    """How sums of ``functions`` miss the constant of a ``nonlinearity``; None if they do not.
+
+    They do not where one of them is a constant, or the nonlinearity itself.
+
+    Examples
+    --------
+    >>> missed_constant([np.sin, np.square], lambda u: 1.0 + u, "add one")
+    MissedConstant(is_zero=True, remedy='add one', when='')
+    >>> missed_constant([np.sin, np.cos], lambda u: 1.0 + u, "add one")
+    MissedConstant(is_zero=False, remedy='add one', when='')
+    >>> missed_constant([np.sin, np.cos], lambda u: 2.0 * np.cos(u), "add one")
+    """
+    with np.errstate(all="ignore"):
+        if level_at_zero(nonlinearity) == 0.0:
+            return None
+        if not any(np.any(phi(np.zeros(1))) for phi in functions):
+            return MissedConstant(is_zero=True, remedy=remedy)
+        rows = np.array([phi(_SIGNAL) for phi in functions], dtype=float)
+        if is_sum_of(rows, np.ones(len(_SIGNAL))) or is_sum_of(rows, nonlinearity(_SIGNAL)):
+            return None
+    return MissedConstant(is_zero=False, remedy=remedy)
+
+
+def level_at_zero(nonlinearity: Characteristic) -> float:
+    """The value of a nonlinearity at zero; 0 if that is no number, or no more than rounding."""
+    with np.errstate(all="ignore"):
+        level, *beside = nonlinearity(np.array([0.0, -1.0, 1.0])).tolist()
+    if not math.isfinite(level) or abs(level) <= _LEVEL * max(map(abs, beside)):
+        return 0.0
+    return float(level)
 
 
 @dataclass(frozen=True)
@@ -49,8 +103,8 @@ class Normalisation:
     no data determine of these parts; ``left`` is what of it the method does not fix either. ``found`` gives
     the rule of one estimate, where that depends on what was found, such as a delay; None: all have this one.
     ``says`` gives the rule in words where these depend on the system; None: ``rule`` of all.
-    ``through_zero`` is whether the method takes the nonlinearity to be zero at zero, with nothing added to
-    the output, whatever the data say.
+    Of a method that adds nothing to the output, the nonlinearity is a sum of ``functions`` (None: of any);
+    without one, it is zero at zero, whatever the data say.
     """
 
     rule: str
@@ -60,7 +114,7 @@ class Normalisation:
     left: frozenset[Freedom] = frozenset()
     found: Callable[[Estimate], Normalisation] | None = None
     says: Callable[[Truth, float | None], str] | None = None
-    through_zero: bool = False
+    functions: tuple[Characteristic, ...] | None = None
 
     def said(self, truth: Truth, dt: float | None) -> str:
         """The rule in words, for the estimates of a system."""
@@ -78,14 +132,21 @@ class Normalisation:
         """The rule of a method that does not fix these, with what it ``says`` of them."""
         return replace(self, rule=self.rule + says, free=self.free | {*left}, left=self.left | {*left})
 
-    def beside(self, constant: bool, *, through_zero: bool = True) -> Normalisation:
+    def beside(self, constant: bool, functions: Iterable[Characteristic] = ()) -> Normalisation:
         """The rule of a nonlinearity with a ``constant`` of the output beside it, or without.
 
-        Such a constant cannot be told from one of the nonlinearity.
+        Such a constant cannot be told from one of the nonlinearity. Without it, that is zero at zero, or a
+        sum of ``functions`` alone.
         """
         if constant:
             return self.leaving("constant", says=", a constant left open")
-        return replace(self, through_zero=through_zero)
+        return replace(self, functions=tuple(functions))
+
+    def misses(self, nonlinearity: Characteristic) -> MissedConstant | None:
+        """How the method cannot hold the constant of a true nonlinearity; None if it can."""
+        if self.functions is None:
+            return None
+        return missed_constant(self.functions, nonlinearity, "'constant: true' estimates a constant")
 
     def of_signs(self) -> Normalisation:
         """The rule for the signs of the factors alone."""

@@ -12,12 +12,34 @@ from hident.arrays import Array, Flags
 
 ILL_CONDITIONED = 1e12
 """Condition number, of columns scaled to length one, from which they count as linearly dependent."""
+# What may be left of a sum, relative to it.
+_SUM = 1e-9
 
 
 def lengths(columns: Array) -> Array:
     """The lengths (..., P) of the columns (..., N, P); 1 for a column of zeros, which stays so."""
     found = np.sqrt(np.einsum("...ij,...ij->...j", columns, columns))
     return np.where(found == 0.0, 1.0, found)
+
+
+def is_sum_of(rows: Array, values: Array) -> bool:
+    """Whether ``values`` (N,) are a sum of the ``rows`` (K, N), each with a factor, up to rounding.
+
+    What is not finite in one of them does not count.
+
+    Examples
+    --------
+    >>> u = np.linspace(-3.0, 3.0, 50)
+    >>> is_sum_of(np.array([u, np.cos(u) ** 2, np.sin(u) ** 2]), np.ones(50))
+    True
+    >>> is_sum_of(np.array([u, np.cos(u)]), np.ones(50))
+    False
+    """
+    finite = np.isfinite(values) & np.all(np.isfinite(rows), axis=0)
+    columns, values = rows[:, finite].T, values[finite]
+    columns = columns / lengths(columns)
+    error = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
+    return bool(np.linalg.norm(error) <= _SUM * np.linalg.norm(values))
 
 
 @dataclass(frozen=True, eq=False)

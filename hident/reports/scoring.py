@@ -12,13 +12,13 @@ from hident.engine.comparable import (
     in_units,
     is_as_declared,
     keeps_sign,
-    level_at_zero,
     moved,
     quantity_of,
     to_one_unit,
     unsaid,
 )
 from hident.engine.experiment import Plan, Unit
+from hident.estimators.normalisation import MissedConstant, level_at_zero
 from hident.metrics.base import Comparing, MetricSpec
 from hident.numerics.freedoms import Freedom, in_words
 
@@ -100,22 +100,34 @@ def _in_several_units(plan: Plan) -> Iterator[str]:
 
 
 def _not_held(plan: Plan) -> Iterator[str]:
-    """Which methods take a nonlinearity through zero for one that is not, which biases all that they find."""
-    found: dict[str, list[str]] = {}
+    """Which methods cannot hold the constant of a true nonlinearity, which biases all that they find."""
+    found: dict[str, dict[MissedConstant, list[str]]] = {}
     for unit in plan.units:
-        through_zero = any(rule.through_zero for rule in unit.estimator.normalisations() or ())
-        if through_zero and (level := level_at_zero(unit.data.system.truth())):
-            _add(found.setdefault(unit.name, []), f"{level:.4g}")
-    groups: dict[str, list[str]] = {}
-    for name, levels in found.items():
-        said = one_of(levels) if len(levels) <= _MOST_FACTORS else "another value in each case"
-        groups.setdefault(said, []).append(name)
-    for said, names in groups.items():
+        nonlinearity = unit.data.system.truth().nonlinearity
+        if nonlinearity is None:
+            continue
+        if missed := unit.estimator.misses_constant(nonlinearity):
+            levels = found.setdefault(unit.name, {}).setdefault(missed, [])
+            _add(levels, f"{level_at_zero(nonlinearity):.4g}")
+    groups: dict[tuple[str, MissedConstant], list[str]] = {}
+    for name, of in found.items():
+        for missed, levels in of.items():
+            said = one_of(levels) if len(levels) <= _MOST_FACTORS else "another value in each case"
+            groups.setdefault((said, missed), []).append(name)
+    for (said, missed), names in groups.items():
         yield (
             f"The system's nonlinearity is {said} at zero, and {one_of(names)} "
-            f"{'takes' if len(names) == 1 else 'take'} it to be 0 there, which biases the estimates: "
-            "'constant: true' estimates a constant."
+            f"{_misses(missed, len(names) == 1)}, which biases the estimates: {missed.remedy}."
         )
+
+
+def _misses(missed: MissedConstant, is_one: bool) -> str:
+    """What one method or several do, in words."""
+    if missed.is_zero:
+        words = f"{'takes' if is_one else 'take'} it to be 0 there"
+    else:
+        words = f"{'has' if is_one else 'have'} basis functions that hold no constant"
+    return words + missed.when
 
 
 def _by_name(plan: Plan) -> Iterator[str]:

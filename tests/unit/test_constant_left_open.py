@@ -149,15 +149,103 @@ def test_a_table_says_where_a_true_nonlinearity_has_a_constant_that_a_method_doe
     axis = f"cases: {{level: {{{levels}}}}}\n"
     said = [line for line in scoring(plan_of(text + axis)) if "at zero" in line]
     assert said == [f"The system's nonlinearity is 0.1, -2 at zero, and e {NOTE}"]
-    # Nothing is said where a constant is estimated, the basis may hold one, or there is none.
+    # Nothing is said where a constant is estimated, the basis holds one, or there is none.
     for one in (
         "{kind: two_stage, lags: 8, degree: 2, delay: 0, constant: true}",
-        "{kind: two_stage, lags: 8, basis: [identity, {kind: expression, expression: cos(u)}], delay: 0}",
+        "{kind: two_stage, lags: 8, basis: [identity, {kind: power, exponent: 0}], delay: 0}",
         "{kind: kernel, kernel: gaussian, bandwidth: rule_of_thumb}",
     ):
         assert not [line for line in scoring(plan_of(_beside({"e": one}))) if "at zero" in line]
     through = text.replace("[0.6, 1, 0.5]", "[0, 1, 0.5]")
     assert not [line for line in scoring(plan_of(through)) if "at zero" in line]
+
+
+COSINE = "{kind: expression, expression: cos(u)}"
+HELD = "'constant: true' estimates a constant."
+
+
+def test_a_basis_that_is_not_zero_at_zero_holds_a_constant_only_in_its_span(plan_of):
+    def said(basis, nonlinearity="{kind: polynomial, coefficients: [0.6, 1, 0.5]}"):
+        text = _beside({"e": f"{{kind: two_stage, lags: 8, basis: [{basis}], delay: 0}}"})
+        text = text.replace("{kind: polynomial, coefficients: [0.6, 1, 0.5]}", nonlinearity)
+        return [line for line in scoring(plan_of(text)) if "at zero" in line]
+
+    assert said(f"identity, {COSINE}") == [
+        "The system's nonlinearity is 0.6 at zero, and e has basis functions that hold no constant, which "
+        f"biases the estimates: {HELD}"
+    ]
+    # A sum of them is one, or the nonlinearity itself.
+    assert not said(f"identity, {COSINE}, {{kind: expression, expression: 2 - cos(u)}}")
+    assert not said(f"identity, {COSINE}", "{kind: expression, expression: u + 2*cos(u)}")
+
+
+PEM = "{{kind: prediction_error, blocks: [{}, {{kind: linear, nb: 1, nf: 1, nk: 0}}]}}"
+BLOCK = (
+    "a static block that holds a constant estimates it, such as a polynomial, or an expansion with {kind: "
+    "power, exponent: 0} in its basis."
+)
+
+
+def test_prediction_error_tells_where_no_block_holds_a_constant(plan_of):
+    def said(block):
+        text = _beside({"e": PEM.format(block)}, "{kind: value, of: [mse]}")
+        return [line for line in scoring(plan_of(text)) if "at zero" in line]
+
+    zero = (
+        "The system's nonlinearity is 0.6 at zero, and e takes it to be 0 there, which biases the estimates"
+    )
+    square = "{kind: power, exponent: 2}"
+    assert said(f"{{kind: expansion, basis: [identity, {square}]}}") == [f"{zero}: {BLOCK}"]
+    held = "{kind: expansion, basis: [identity], held: true, start: identity, range: [-1, 1]}"
+    assert said(held) == [f"{zero}: {BLOCK}"]
+    assert said("{kind: linear, nb: 1, nf: 0, nk: 0}") == [f"{zero}: {BLOCK}"]
+    cosine = said(f"{{kind: expansion, basis: [identity, {COSINE}]}}")
+    assert cosine == [
+        "The system's nonlinearity is 0.6 at zero, and e has basis functions that hold no constant, which "
+        f"biases the estimates: {BLOCK}"
+    ]
+    for block in (
+        "{kind: polynomial, degree: 2}",
+        "{kind: piecewise_linear, knots: 5}",
+        "{kind: cubic_spline, knots: 5}",
+        "{kind: saturation}",
+        "{kind: dead_zone}",
+        "{kind: series, basis: {kind: trigonometric, interval: [-2, 2]}, q: 2}",
+        f"{{kind: expansion, basis: [identity, {{kind: power, exponent: 0}}, {square}]}}",
+    ):
+        assert not said(block)
+
+
+@pytest.mark.parametrize(("constant", "is_told"), [("false", True), ("true", False)])
+def test_a_linear_model_with_a_constant_takes_a_system_that_has_one(plan_of, constant, is_told):
+    text = """\
+version: 1
+title: A line with a constant
+trials: 1
+samples: 400
+dt: 0.1
+system:
+  kind: hammerstein
+  nonlinearity: {kind: polynomial, coefficients: [COEFFICIENTS]}
+  linear: {kind: continuous, a: [2.5, 1.5]}
+excitation: {kind: multistep, switching_time: 1, std: 1}
+estimators:
+  line: {kind: linear_model, start: 20, block: {n: 2, horizon: 8}, constant: CONSTANT}
+metrics:
+  m: {kind: error, of: [a_1, b_0]}
+"""
+    text = text.replace("CONSTANT", constant)
+    if is_told:
+        with pytest.raises(hi.ConfigError, match="the system's nonlinearity is not a multiple of it"):
+            plan_of(text.replace("COEFFICIENTS", "5, 2"))
+        return
+    plan = plan_of(text.replace("COEFFICIENTS", "5, 2"))
+    assert not [line for line in scoring(plan) if "at zero" in line]
+    [a_1, b_0] = [one.value("mean") for one in run(plan).series]
+    assert abs(a_1) < 0.05
+    assert abs(b_0) < 0.05
+    with pytest.raises(hi.ConfigError, match="is not a multiple of it and a constant"):
+        plan_of(text.replace("COEFFICIENTS", "5, 2, 1"))
 
 
 BESIDE = """\

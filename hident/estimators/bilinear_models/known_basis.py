@@ -88,9 +88,7 @@ class LaggedSpec(AtOneInterval):
 
     def beside_constant(self, rule: Normalisation) -> Normalisation:
         """The rule, with what is said of a constant."""
-        with np.errstate(all="ignore"):
-            at_zero = [phi(np.zeros(1))[0] for phi in self.functions()]
-        return rule.beside(self.constant, through_zero=not np.any(at_zero))
+        return rule.beside(self.constant, self.functions())
 
     def basis_values(self, x: Array) -> Array:
         """The basis functions (m, N) of the input.

@@ -65,8 +65,8 @@ class LinearModel(MovingHorizonSpec):
             self.block.check(parts[-1].stop, dt, self.start, gain=True, constant=self.constant, parts=parts)
 
     def normalisations(self) -> tuple[Normalisation, ...]:
-        rule = known_function("the nonlinearity is u", np.positive)
-        return (rule if self.constant else rule.beside(constant=False),)
+        rule = known_function("the nonlinearity is u", np.positive, constant=self.constant)
+        return (rule.beside(self.constant),)
 
     def names(self) -> list[str]:
         found = ["n", "m", "delay", "settling_time", "horizons"]

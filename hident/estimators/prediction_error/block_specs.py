@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from hident.arrays import Array
+from hident.arrays import Array, Characteristic
 from hident.block_chain import Block
 from hident.config.spec import Component, Count, Flag, Interval, NonEmpty, Of, Real, component
 from hident.estimators.prediction_error.continuous_structure import ContinuousStructure
@@ -222,6 +223,14 @@ class StaticSpec(BlockSpec):
         basis = self.basis_for(np.linspace(0.0, 1.0, _POINTS), 0.0, 1.0)
         return len(basis.shape) + basis.size
 
+    def functions(self) -> tuple[Characteristic, ...]:
+        """The functions whose sums it is, on some range: the one that is held, or those of its basis."""
+        if self.held and self.start is not None:
+            return (self.start,)
+        low, high = self.range or (-1.0, 1.0)
+        basis = self.basis_for(np.linspace(low, high, _POINTS), low, high)
+        return tuple(partial(_row, basis, k) for k in range(basis.size))
+
     def is_fixed(self) -> bool:
         """Whether its range does not follow the signal."""
         return self.range is not None
@@ -250,6 +259,10 @@ class StaticSpec(BlockSpec):
             basis = basis.reshaped(points)
         coefficients = np.linalg.lstsq(basis.rows(x).T, self.start(x), rcond=None)[0]
         return StaticFunction(basis, tuple(coefficients.tolist()))
+
+
+def _row(basis: Basis, k: int, x: Array) -> Array:
+    return np.asarray(basis.rows(x)[k])
 
 
 @component("block", "polynomial")

@@ -9,11 +9,11 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from hident.arrays import Array
+from hident.arrays import Array, Characteristic
 from hident.config.spec import Of, Real, component
 from hident.errors import EstimationError
 from hident.estimators.base import AtOneInterval, require_finite, require_varying
-from hident.estimators.normalisation import Normalisation
+from hident.estimators.normalisation import MissedConstant, Normalisation
 from hident.estimators.prediction_error.criterion import FREE, point_at, simulated
 from hident.estimators.prediction_error.excitation import require_excitation
 from hident.estimators.prediction_error.parameters import is_stable
@@ -68,6 +68,9 @@ class ChainCramerRao(AtOneInterval):
 
     def normalisations(self) -> tuple[Normalisation, ...] | None:
         return self.of.normalisations()
+
+    def misses_constant(self, nonlinearity: Characteristic) -> MissedConstant | None:
+        return self.of.misses_constant(nonlinearity)
 
     def fewest_samples(self) -> int:
         return self.of.fewest_samples()

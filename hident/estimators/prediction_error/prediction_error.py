@@ -10,11 +10,12 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator
 
+from hident.arrays import Characteristic
 from hident.block_chain import Block, BlockChain, Start
 from hident.config.spec import Count, NonEmpty, Of, Spec, component
 from hident.errors import EstimationError
 from hident.estimators.base import CONTINUOUS, DISCRETE, AtOneInterval, require_usable, unknown_past
-from hident.estimators.normalisation import Normalisation, unit_static_gain
+from hident.estimators.normalisation import MissedConstant, Normalisation, missed_constant, unit_static_gain
 from hident.estimators.prediction_error.block_specs import (
     BlockSpec,
     ContinuousBlock,
@@ -44,6 +45,12 @@ class NoiseOrders(Spec):
     """Order of D."""
     ma: Annotated[Count, Field(ge=0, le=100)] = 0
     """Order of C."""
+
+
+_A_CONSTANT = (
+    "a static block that holds a constant estimates it, such as a polynomial, or an expansion with {kind: "
+    "power, exponent: 0} in its basis"
+)
 
 
 @component("estimator", "prediction_error", source="Ljung, System Identification, 2nd ed., 7.2, 10.2")
@@ -190,6 +197,12 @@ class PredictionError(AtOneInterval):
         rule = unit_static_gain("b l1_b l2_b l3_b input_b output_b")
         # The orders of two linear blocks with a nonlinearity between them say which of them has a delay.
         return (replace(rule, free=rule.free | {"delay"}) if len(self._places()) > 1 else rule,)
+
+    def misses_constant(self, nonlinearity: Characteristic) -> MissedConstant | None:
+        # A constant is held where one of the static functions holds it.
+        static = [block.functions() for block in self.blocks if isinstance(block, StaticSpec)]
+        missed = [missed_constant(one, nonlinearity, _A_CONSTANT) for one in static or [()]]
+        return missed[0] if all(missed) else None
 
     def fit(self, record: Record, rng: np.random.Generator | None = None) -> Estimate:
         fit = self.identify(record)
