@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 
 from hident.config.suggest import one_of
@@ -19,6 +20,7 @@ from hident.engine.comparable import (
 )
 from hident.engine.experiment import Plan, Unit
 from hident.estimators.normalisation import MissedConstant, level_at_zero
+from hident.estimators.selection.select import Select
 from hident.metrics.base import Comparing, MetricSpec
 from hident.numerics.freedoms import Freedom, in_words
 
@@ -74,6 +76,7 @@ def scoring(plan: Plan) -> Iterator[str]:
         yield f"Metric {name}: {'; '.join(sentences)}."
     yield from _in_several_units(plan)
     yield from _not_held(plan)
+    yield from _not_tried(plan)
     yield from _by_name(plan)
 
 
@@ -127,7 +130,23 @@ def _misses(missed: MissedConstant, is_one: bool) -> str:
         words = f"{'takes' if is_one else 'take'} it to be 0 there"
     else:
         words = f"{'has' if is_one else 'have'} basis functions that hold no constant"
-    return words + missed.when
+    return words + (f" with {missed.when}" if missed.when else "")
+
+
+def _not_tried(plan: Plan) -> Iterator[str]:
+    """Which candidates a selection leaves out in all trials, as its records do not suit them."""
+    found: dict[str, dict[str, list[str]]] = {}
+    for unit in plan.units:
+        if not isinstance(unit.estimator, Select):
+            continue
+        if why := unit.estimator.unsuited(unit.data.samples, unit.data.dt):
+            shown = [f"{words} ({reason})" for words, reason in itertools.islice(why.items(), _MOST_FACTORS)]
+            more = [f"{len(why) - len(shown)} more"] if len(why) > len(shown) else []
+            at = one_of(f"{axis} {label}" for axis, label in unit.labels.items())
+            _add(found.setdefault(unit.name, {}).setdefault(one_of([*shown, *more]), []), at)
+    for name, cases in found.items():
+        each = (said + (f" at {'; '.join(where)}" if any(where) else "") for said, where in cases.items())
+        yield f"Estimator {name} leaves out what its records do not suit: {'; '.join(each)}."
 
 
 def _by_name(plan: Plan) -> Iterator[str]:
@@ -203,7 +222,9 @@ def _taken_off(metric: MetricSpec, unit: Unit) -> str:
     """What is chosen for the least error though nothing is written, because the method leaves it open."""
     if not isinstance(metric, Comparing) or metric.up_to is not None:
         return ""
-    return _as_left_open(metric, unit).left_in_words()
+    words, settings = _as_left_open(metric, unit).left_in_words(), _settings_that_leave(metric, unit)
+    # One metric scores all trials of a selection, whatever each has chosen.
+    return f"{words}{settings}: so in all trials" if settings else words
 
 
 def _counted(metric: MetricSpec, unit: Unit) -> str:
@@ -213,12 +234,26 @@ def _counted(metric: MetricSpec, unit: Unit) -> str:
     if not (left := [one for one in _left_open(metric, unit) if one not in metric.up_to]):
         return ""
     remedy = ", ".join([*metric.up_to, *left])
-    return f"{in_words(left)} counts, which the method leaves open, unless 'up_to: [{remedy}]' is written"
+    settings = _settings_that_leave(metric, unit)
+    return (
+        f"{in_words(left)} counts, which the method leaves open{settings}, unless 'up_to: [{remedy}]' is "
+        "written"
+    )
 
 
 def _left_open(metric: Comparing, unit: Unit) -> Sequence[Freedom]:
     """What the metric would choose where nothing is written: what the method leaves open."""
     return _as_left_open(metric, unit).up_to or ()
+
+
+def _settings_that_leave(metric: Comparing, unit: Unit) -> str:
+    """With which settings of a selection something is left open, in words; nothing if it is with all."""
+    if not isinstance(unit.estimator, Select):
+        return ""
+    blank = metric.model_copy(update={"up_to": None})
+    every = [completed(blank, candidate, unit.data.dt) for candidate in unit.estimator.candidates]
+    settings = unit.estimator.settings_with([isinstance(one, Comparing) and bool(one.up_to) for one in every])
+    return f" with {settings}" if settings else ""
 
 
 def _as_left_open(metric: Comparing, unit: Unit) -> Comparing:

@@ -128,6 +128,7 @@ THROUGH_ZERO = {
     "separable": "{kind: separable_least_squares, lags: 1, degree: 2, feedback: 1, delay: 0}",
     "Voros": "{kind: voros_hammerstein, n: 1, m: 1, degree: 2, delay: 0}",
 }
+HELD = "'constant: true' estimates a constant."
 NOTE = "takes it to be 0 there, which biases the estimates: 'constant: true' estimates a constant."
 
 
@@ -160,8 +161,47 @@ def test_a_table_says_where_a_true_nonlinearity_has_a_constant_that_a_method_doe
     assert not [line for line in scoring(plan_of(through)) if "at zero" in line]
 
 
+@pytest.mark.parametrize(
+    ("over", "when"),
+    [
+        ("{constant: [true, false]}", "constant {}"),
+        ("{constant: [true, false], lags: [7, 8]}", "constant {}"),
+        ("{constant: [true]}", ""),
+    ],
+)
+def test_what_is_said_of_a_selection_holds_with_the_settings_that_are_named(plan_of, over, when):
+    chosen = f"{{kind: select, by: bic, over: {over}, estimator: {{kind: two_stage, lags: 8, degree: 2}}}}"
+    text = _beside({"e": chosen.replace("degree: 2", "degree: 2, delay: 0")})
+    said = list(scoring(plan_of(text)))
+    with_true = f" with {when.format('true')}: so in all trials" if when else ""
+    assert f"Metric m: up to a constant, which the method leaves open{with_true} (e)." in said
+    missed = [line for line in said if "at zero" in line]
+    assert missed == (
+        [
+            "The system's nonlinearity is 0.6 at zero, and e takes it to be 0 there with constant false, "
+            f"which biases the estimates: {HELD}"
+        ]
+        if when
+        else []
+    )
+    counted = " ".join(scoring(plan_of(text, "metrics.m.up_to=[gain, sign]")))
+    beside = f" with {when.format('true')}" if when else ""
+    assert f"a constant counts, which the method leaves open{beside}, unless" in counted
+
+
+def test_a_selection_whose_settings_decide_together_says_so(plan_of):
+    over = "{degree: [1, 2], constant: [true, false]}"
+    chosen = f"{{kind: select, by: bic, over: {over}, estimator: {{kind: two_stage, lags: 8, delay: 0}}}}"
+    said = [line for line in scoring(plan_of(_beside({"e": chosen}))) if "at zero" in line]
+    assert "with constant false" in said[0]
+    basis = "[[identity], [identity, {kind: power, exponent: 0}]]"
+    over = f"{{basis: {basis}, constant: [true, false]}}"
+    chosen = f"{{kind: select, by: bic, over: {over}, estimator: {{kind: two_stage, lags: 8, delay: 0}}}}"
+    said = [line for line in scoring(plan_of(_beside({"e": chosen}))) if "at zero" in line]
+    assert "with some of its settings" in said[0]
+
+
 COSINE = "{kind: expression, expression: cos(u)}"
-HELD = "'constant: true' estimates a constant."
 
 
 def test_a_basis_that_is_not_zero_at_zero_holds_a_constant_only_in_its_span(plan_of):

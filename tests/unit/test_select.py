@@ -22,6 +22,7 @@ from hident.model_output import simulated
 from hident.records import Held, Part, Record, needed
 from hident.reports.one_trial.searches import abscissa_of, draw_selection
 from hident.reports.output import check
+from hident.reports.scoring import scoring
 from hident.reports.style import subplots
 from tests.unit.plans import planned, refusals, replaced
 
@@ -276,6 +277,36 @@ class TestChoice:
         assert np.isnan(selected(found).criterion[0])
         assert "have no sample within the kernel's window" in selected(found).failures[0]
 
+    @pytest.mark.parametrize(
+        ("by", "settings"), [("aic", {}), ("holdout", {"share": 0.4}), ("cross_validation", {"folds": 3})]
+    )
+    def test_candidates_that_are_too_long_for_the_record_are_left_out(self, by, settings):
+        over = {"lags": [2, 200]}
+        select = hi.Select(by=by, over=over, estimator={**TWO_STAGE, "degree": 1}, **settings)
+        found = hi.fit(select, record_of(100))
+        assert found.values["selected lags"] == 2.0
+        assert "needs at least" in selected(found).failures[1]
+        alone = hi.Select(by=by, over={"lags": [2]}, estimator={**TWO_STAGE, "degree": 1}, **settings)
+        assert select.fewest_samples() == alone.fewest_samples()
+        assert found.values == hi.fit(alone, record_of(100)).values
+
+    def test_where_a_record_suits_no_candidate_the_shortest_is_named(self):
+        select = hi.Select(by="aic", over={"lags": [30, 200]}, estimator=TWO_STAGE)
+        with pytest.raises(ConfigError, match=r"needs at least \d+ samples, and the record has 40"):
+            hi.fit(select, record_of(40))
+
+    def test_candidates_that_a_sampling_does_not_suit_are_left_out(self):
+        steps = {"kind": "multistep", "switching_time": 1, "std": 1}
+        linear = {"kind": "continuous", "a": [2.5, 1.5]}
+        system = {"kind": "hammerstein", "nonlinearity": "identity", "linear": linear}
+        record = hi.simulate(system, steps, 400, dt=0.1)
+        model = {"kind": "linear_model", "block": {"n": 2}}
+        select = hi.Select(by="holdout", over={"block.horizon": [4, 30]}, estimator=model)
+        found = hi.fit(select, record)
+        assert found.values["selected block.horizon"] == 4.0
+        with pytest.raises(ConfigError, match=r"all 2 candidates fail.*block\.horizon 60"):
+            hi.fit(hi.Select(by="aic", over={"block.horizon": [60, 70]}, estimator=model), record)
+
     def test_where_all_fail_it_says_why(self):
         estimator = {**KERNEL, "kernel": "window_unit", "empty": "fail"}
         select = hi.Select(by="cross_validation", over={"bandwidth.h0": [1e-6, 1e-7]}, estimator=estimator)
@@ -310,10 +341,10 @@ class TestPassesThrough:
         assert {"nonlinearity", "linear", "response"} <= select.provides()
         assert set(select.names()) == values
 
-    def test_the_longest_record_that_a_candidate_needs_is_left_to_fit(self):
+    def test_the_record_that_the_shortest_candidate_needs_is_left_to_fit(self):
         for by, settings in (("cross_validation", {"folds": 3}), ("holdout", {"share": 0.4}), ("aic", {})):
             select = hi.Select(by=by, over={"lags": [1, 4]}, estimator=TWO_STAGE, **settings)
-            n, least = select.fewest_samples(), max(one.fewest_samples() for one in select.candidates)
+            n, least = select.fewest_samples(), min(one.fewest_samples() for one in select.candidates)
             assert n >= least
             record = record_of(n)
             fitted = [] if by == "aic" else select._folds(record)
@@ -552,6 +583,34 @@ metrics:
 tables:
   tried: {kind: candidates, title: What was tried, estimator: chosen}
 """
+
+
+TOO_LONG = """\
+version: 1
+title: Lags that a short record does not hold
+trials: 2
+samples: 100
+cases: {N: {30: {samples: 30}, 100: {}}}
+system: {kind: hammerstein, nonlinearity: identity, linear: {kind: fir, b: [1, 0.6]}}
+excitation: {kind: iid, distribution: uniform, low: -2, high: 2}
+noise: {kind: white, std: 0.1}
+estimators:
+  lags: {kind: select, by: bic, over: {lags: [2, 20, 200]}, estimator: {kind: two_stage, degree: 1, delay: 0}}
+metrics:
+  n: {kind: value, of: [selected lags]}
+"""
+
+
+def test_table_md_says_which_candidates_the_records_do_not_suit(tmp_path):
+    plan = planned(tmp_path, TOO_LONG)
+    assert [line for line in scoring(plan) if "leaves out" in line] == [
+        "Estimator lags leaves out what its records do not suit: lags 20 (needs at least 40 samples), lags "
+        "200 (needs at least 400 samples) at N 30; lags 200 (needs at least 400 samples) at N 100."
+    ]
+    assert [one.value("mean") for one in run(plan).series] == [2.0, 2.0]
+    assert refusals(tmp_path, TOO_LONG, "cases={N: {10: {samples: 3}}}") == [
+        "a.yaml:10: estimators.lags: needs at least 4 samples, but samples is 3"
+    ]
 
 
 def test_the_table_of_all_tried_marks_the_simplest(tmp_path):

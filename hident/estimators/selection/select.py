@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -14,12 +14,12 @@ import numpy as np
 from pydantic import Field, GetJsonSchemaHandler, model_validator
 from pydantic_core import CoreSchema, PydanticCustomError
 
-from hident.arrays import Array, Flags
+from hident.arrays import Array, Characteristic, Flags
 from hident.config.spec import Count, NonEmpty, Of, Real, component, components
 from hident.config.suggest import one_of
 from hident.errors import EstimationError, TrialFailed
 from hident.estimators.base import EstimatorSpec, Experiments
-from hident.estimators.normalisation import Normalisation
+from hident.estimators.normalisation import MissedConstant, Normalisation
 from hident.estimators.selection.candidates import (
     along,
     as_numbers,
@@ -93,7 +93,8 @@ class Select(EstimatorSpec):
 
     The candidates are all combinations of the values in ``over``. The one with the least criterion is taken;
     of those that tie within rounding, the first (of the settings in alphabetical order, the last varies the
-    fastest), so the simplest value stands first. A candidate that fails is left out.
+    fastest), so the simplest value stands first. A candidate that fails, or for which a record is too short,
+    is left out.
 
     ``cross_validation``: the mean squared error on blocks in time, each held out in turn; ``holdout``: that
     on the last part of each experiment; ``validation``: that on the record's validation part;
@@ -217,12 +218,32 @@ class Select(EstimatorSpec):
         return common | {f"value {name}" for name in self._selected[0]}
 
     def fewest_samples(self) -> int:
-        most = max(candidate.fewest_samples() for candidate in self.candidates)
+        return min(map(self._fewest_samples_with, self.candidates))
+
+    def _fewest_samples_with(self, candidate: EstimatorSpec) -> int:
+        """The fewest samples of which a candidate can be judged."""
+        fewest = candidate.fewest_samples()
         if self.by == "cross_validation":
-            return math.ceil((most + 2 * self.gap) * self.folds / (self.folds - 1))
+            return math.ceil((fewest + 2 * self.gap) * self.folds / (self.folds - 1))
         if self.by == "holdout":
-            return max(math.ceil((most + self.gap) / (1.0 - self.share)), 2)
-        return most
+            return max(math.ceil((fewest + self.gap) / (1.0 - self.share)), 2)
+        return fewest
+
+    def unsuited(self, n: int, dt: float | None) -> dict[str, str]:
+        """The candidates that records of ``n`` samples every ``dt`` do not suit, by their settings: why."""
+        return {self._words(i): why for i, why in self._unsuited(n, dt).items()}
+
+    def _unsuited(self, n: int, dt: float | None) -> dict[int, str]:
+        found: dict[int, str] = {}
+        for i, candidate in enumerate(self.candidates):
+            if n < (fewest := self._fewest_samples_with(candidate)):
+                found[i] = f"needs at least {fewest} samples"
+                continue
+            try:
+                candidate.check(n, dt)
+            except ValueError as error:
+                found[i] = str(error)
+        return found
 
     def takes_experiments(self) -> Experiments:
         return min((candidate.takes_experiments() for candidate in self.candidates), key=_TAKEN.index)
@@ -245,6 +266,23 @@ class Select(EstimatorSpec):
             rules |= {(rule.rule, rule.parts): rule for rule in own}
         return tuple(rules.values())
 
+    def misses_constant(self, nonlinearity: Characteristic) -> MissedConstant | None:
+        every = [candidate.misses_constant(nonlinearity) for candidate in self.candidates]
+        missed = next(filter(None, every), None)
+        return missed and missed._replace(when=self.settings_with([one is not None for one in every]))
+
+    def settings_with(self, is_so: Sequence[bool]) -> str:
+        """With which settings something is so of the candidates (C,), in words; empty if of all or none."""
+        if all(is_so) or not any(is_so):
+            return ""
+        paths = sorted(self.over)
+        every = [*itertools.product(*(range(len(self.over[path])) for path in paths))]
+        for k, path in enumerate(paths):
+            places = sorted({place[k] for place, own in zip(every, is_so, strict=True) if own})
+            if [place[k] in places for place in every] == [*is_so]:
+                return f"{path} {one_of(word(self.over[path][place]) for place in places)}"
+        return "some of its settings"
+
     def discrete_step(self, dt: float | None) -> float:
         return self.candidates[0].discrete_step(dt)
 
@@ -254,16 +292,16 @@ class Select(EstimatorSpec):
             raise ValueError(
                 f"its candidates have blocks at several sampling intervals: {one_of(map(str, sorted(steps)))}"
             )
-        for i, candidate in enumerate(self.candidates):
-            try:
-                candidate.check(n, dt)
-            except ValueError as error:
-                raise ValueError(f"with {self._words(i)}: {error}") from None
+        # That none has samples enough is said by their number.
+        if n >= self.fewest_samples() and len(why := self._unsuited(n, dt)) == len(self.candidates):
+            raise ValueError(self._none(why))
 
     def check_record(self, record: Record) -> None:
         self._require_validation(record)
-        hopeless: dict[int, str] = {}
+        hopeless = self._unsuited(len(record), record.dt)
         for i, candidate in enumerate(self.candidates):
+            if i in hopeless:
+                continue
             try:
                 candidate.check_record(record)
             except EstimationError as error:
@@ -304,8 +342,10 @@ class Select(EstimatorSpec):
         judge = self._judge(record, rng)
         errors: dict[int, Array] = {}
         whole: dict[int, Estimate] = {}
-        failures: dict[int, str] = {}
+        failures = self._unsuited(len(record), record.dt)
         for i, candidate in enumerate(self.candidates):
+            if i in failures:
+                continue
             try:
                 errors[i], fitted = judge(candidate)
             except _FAILURES as error:
