@@ -326,7 +326,7 @@ def validate(
         document = Document("experiment", plain(canonical(experiment)))
     for key, value in {**overrides, "trials": trials, "seed": seed}.items():
         if value is not None or key in overrides:
-            document = document.patched(key, plain(canonical(value)), Place(0, f"{key}={value!r}"))
+            document = document.assigned(key, plain(canonical(value)), Place(0, f"{key}={value!r}"))
     [plan] = load_plans([document])
     return plan
 

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from hident.config.suggest import counted
 from hident.engine.runner import Progress, Silent
 
 _EVERY_SECONDS = 10.0
@@ -53,8 +54,8 @@ def rate_of(trials: float, seconds: float) -> str:
 
 def _stored(stored: int, total: int) -> str:
     if stored == total:
-        return f"all {total} trials are stored"
-    return f"{total} trials" + (f", {stored} of them stored" if stored else "")
+        return f"{'all ' * (total != 1)}{counted(total, 'trial', 'are')} stored"
+    return counted(total, "trial") + (f", {stored} of them stored" if stored else "")
 
 
 class _Pace:
@@ -125,7 +126,7 @@ class _Notices:
             if left > _LONG_SECONDS:
                 self._cost_said = True
                 self._say(
-                    f"about {duration(left)} to go for {self._left} trials of "
+                    f"about {duration(left)} to go for {counted(self._left, 'trial')} of "
                     f"{self._estimates} estimates; fewer --trials, more --jobs or a --trial-timeout shorten "
                     "it, and Ctrl-C keeps what is stored"
                 )
@@ -188,7 +189,7 @@ class Lines(_Shown):
         now = self._clock()
         if self._stored < self._done < self._total and now - self._last >= _EVERY_SECONDS:
             self._last = now
-            said = f"{self._done}/{self._total} trials"
+            said = f"{self._done}/{counted(self._total, 'trial')}"
             if pace := self._notices.pace.measured(now):
                 left = duration((self._total - self._done) * pace[1] / pace[0])
                 said += f", {rate_of(*pace)}, {left} left"
@@ -198,7 +199,7 @@ class Lines(_Shown):
         self._notices.finish()
         if self._done > self._stored:
             seconds = self._clock() - self._start
-            self._say(f"{self._done}/{self._total} trials done, {seconds:.1f} s")
+            self._say(f"{self._done}/{counted(self._total, 'trial')} done, {seconds:.1f} s")
 
 
 class Bar(_Shown):

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hident.config.suggest import counted
 from hident.engine.experiment import Plan, Unit
 from hident.engine.replay import OneTrial, Realised, replayed
 from hident.engine.runner import complete, reached
@@ -63,11 +64,12 @@ def export(plan: Plan, folder: Path, file: Path, what: What = What.values) -> st
         columns = [*(axis.name for axis in plan.axes), *table.columns]
         rows = write_rows(file, columns, table.rows(plan, reader), texts=len(plan.axes))
         if what in (What.records, What.estimates):
-            return f"{file}: {rows} rows of {plan.trials} trials, made again from their seeds"
+            made = f"{counted(rows, 'row')} of {counted(plan.trials, 'trial')}"
+            return f"{file}: {made}, made again from their seeds"
         done = sum(complete(reader, keys.values(), plan.trials) for keys in plan.keys)
     missing = plan.trials * len(plan.units) - done
-    said = f"; {missing} trials are not computed yet (hident run)" if missing else ""
-    return f"{file}: {rows} rows of {done} trials{said}"
+    said = f"; {counted(missing, 'trial', 'are')} not computed yet (hident run)" if missing else ""
+    return f"{file}: {counted(rows, 'row')} of {counted(done, 'trial')}{said}"
 
 
 def write_rows(file: Path, columns: Sequence[str], rows: Rows, *, texts: int = 0) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 
 from hident.commands.measured import record_of
 from hident.commands.showing import print_columns
-from hident.config.suggest import one_of
+from hident.config.suggest import counted, one_of
 from hident.errors import ConfigError, Exit, StoreError
 from hident.measurements.delay import Delay
 from hident.measurements.excitation import CONDITION
@@ -62,7 +62,7 @@ def _print_look(record: Record, look: FirstLook, title: str) -> None:
     print_columns(rows)
     print(f"delay: {delay_in_words(look.delay, record)}")
     print("a nonlinearity over so many lags: condition number of the regressors")
-    head = ("  degree", *(f"{lags} lag{'s' * (lags > 1)}" for lags in look.excitation.lags), "")
+    head = ("  degree", *(counted(lags, "lag") for lags in look.excitation.lags), "")
     table = zip(look.excitation.degrees, look.excitation.condition, strict=True)
     print_columns([head, *((f"  {degree}", *map(_condition, row), "") for degree, row in table)])
     print("what to know before a fit:" if look.wrong else "nothing looks wrong")

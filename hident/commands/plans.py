@@ -10,7 +10,7 @@ import numpy as np
 
 from hident import plugins
 from hident.config.load import Document
-from hident.config.suggest import one_of
+from hident.config.suggest import counted, one_of
 from hident.engine.experiment import Plan, load
 from hident.engine.run_files import POWER
 from hident.errors import ConfigError, RecordAbsent
@@ -89,7 +89,4 @@ def is_config(file: Path) -> bool:
 def described(plan: Plan) -> str:
     """One line on a sound configuration."""
     cases, units = len({unit.data.key for unit in plan.units}), len(plan.units)
-    return (
-        f"{plan.path}: fine: {cases} case{'s' * (cases != 1)}, {units} estimate{'s' * (units != 1)} "
-        f"of {plan.trials_said}"
-    )
+    return f"{plan.path}: fine: {counted(cases, 'case')}, {counted(units, 'estimate')} of {plan.trials_said}"

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from hident import plugins
 from hident.commands.serving import PORT, serve
+from hident.config.suggest import counted
 from hident.engine.run_files import POWER
 from hident.errors import Exit
 from hident.reports.site.build import build
@@ -27,7 +28,7 @@ def report(
         print(f"left out: {line}")
     for fault in built.faults:
         print(f"unsound: {fault}")
-    runs = f"{built.runs} run{'s' * (built.runs != 1)}"
+    runs = counted(built.runs, "run")
     print(f"{runs} on {built.pages} pages, {built.made or 'none'} of them made anew: {built.front}")
     print(built.front.resolve().as_uri())
     return Exit.DIFFERS if built.faults else Exit.FINE

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hident.commands.terminal import WORDS, signed, terminal, text_of
-from hident.config.suggest import one_of
+from hident.config.suggest import counted, one_of
 from hident.engine.run_files import CRASHES, OWN, PAGE, RUN, TRIALS, VERDICTS
 from hident.errors import ConfigError, Exit, NothingToCompare
 from hident.ledger.judged import Judged, judged, verdict_rows
@@ -90,7 +90,7 @@ class FoundRun:
         if undrawn := self.folder.undrawn():
             said.append(f"not drawn: {one_of(undrawn)}")
         if count := self.folder.timed_out():
-            said.append(f"{count} trials timed out")
+            said.append(f"{counted(count, 'trial')} timed out")
         return "; ".join(said) or "fine"
 
 
@@ -143,7 +143,7 @@ def list_runs(folders: Sequence[Path]) -> Exit:
     count = len(found)
     console.print(
         text_of(
-            f"{count} run{'s' * (count != 1)}. {_LEGEND}. One of them: hident show "
+            f"{counted(count, 'run')}. {_LEGEND}. One of them: hident show "
             f"{shlex.quote(str(next(iter(next(iter(found.values())).values())).folder.path))}"
         )
     )

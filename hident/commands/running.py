@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hident import arithmetic, stopping
+from hident.config.suggest import counted
 from hident.engine.cores import usable_cores
 from hident.engine.executors import Workers, named_executor
 from hident.engine.experiment import Plan
@@ -164,7 +165,7 @@ class Bench:
             )
         if count := results.timed_out:
             print(
-                f"warning: {name}: {count} trial{'s' * (count != 1)} took longer than the trial timeout of "
+                f"warning: {name}: {counted(count, 'trial')} took longer than the trial timeout of "
                 f"{plan.trial_timeout:g} s: counted as failed, not stored, and computed by the next run",
                 file=sys.stderr,
             )

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hident import plugins
-from hident.config.suggest import one_of
+from hident.config.suggest import counted, one_of
 from hident.engine.experiment import Plan
 from hident.engine.runner import reached, stored
 from hident.engine.store import Store
@@ -52,8 +52,9 @@ def print_comparison(ours: Path, reference: Path, rtol: float, *, complete: bool
     if comparison.absent:
         print(f"not run here: {one_of(comparison.absent)}")
     count = len(comparison.differences)
-    folders = f"{comparison.compared} configuration{'s' * (comparison.compared != 1)}"
-    print(f"{ours} against {reference}: {folders}, {count or 'no'} difference{'s' * (count != 1)}")
+    folders = counted(comparison.compared, "configuration")
+    differences = counted(count, "difference") if count else "no differences"
+    print(f"{ours} against {reference}: {folders}, {differences}")
     return Exit.DIFFERS if count else Exit.FINE
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hident.config.suggest import counted
 from hident.engine.chunks import in_common
 from hident.engine.experiment import Plan, Unit
 from hident.engine.runner import reached
@@ -86,7 +87,7 @@ class Row:
         if self.left:
             rest.append("done" if self.left == "done" else f"{self.left} left")
         named = f"{self.config}, {self.case}" if self.case else self.config
-        return f"{named}: {self.stored}/{self.of} trials" + "".join(f", {part}" for part in rest)
+        return f"{named}: {self.stored}/{counted(self.of, 'trial')}" + "".join(f", {part}" for part in rest)
 
     @property
     def _gained(self) -> int:

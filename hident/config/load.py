@@ -10,11 +10,20 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from hident.config.suggest import did_you_mean, one_of
+from hident.config.suggest import did_you_mean, one_of, there_is_no
 from hident.config.yaml12 import LARGEST, UNREAD, Complaint, Location, Place, Reader, error_of, shown, spelled
 from hident.errors import ConfigError
 
 _ABSENT = object()
+# The sections whose entries have names of their own, and what one of them is.
+_NAMED = {
+    "cases": "axis",
+    "estimators": "estimator",
+    "metrics": "metric",
+    "tables": "table",
+    "figures": "figure",
+    "alternatives": "alternative",
+}
 
 
 @dataclass(frozen=True)
@@ -59,6 +68,35 @@ class Document:
             raise ConfigError(f"{place.text}: {error}") from None
         patches = {at: where for at, where in self.patches.items() if at[: len(location)] != location}
         return Document(self.name, data, self.places, {**patches, location: place}, self.complaints)
+
+    def assigned(self, path: str, value: Any, place: Place) -> Document:
+        """As :meth:`patched`; null takes an entry that has a name of its own out, or a section of such.
+
+        ConfigError if there is no entry of that name; the nearest one is given.
+        """
+        try:
+            less = self._without(path) if value is None else None
+        except ConfigError as error:
+            raise ConfigError(f"{place.text}: {path}: {error}") from None
+        return less or self.patched(path, value, place)
+
+    def _without(self, path: str) -> Document | None:
+        """A copy without a section of named entries, or one of these; None if the path is of neither."""
+        section, _, name = path.partition(".")
+        if section not in _NAMED:
+            return None
+        written, data = self.data.get(section, {}), dict(self.data)
+        if not name:
+            data.pop(section, None)
+        elif not isinstance(written, Mapping):
+            return None
+        elif name in written:
+            data[section] = {key: value for key, value in written.items() if key != name}
+        elif "." in name:
+            return None
+        else:
+            raise ConfigError(there_is_no(_NAMED[section], name, written))
+        return Document(self.name, data, self.places, self.patches, self.complaints)
 
     def complaints_of(self, problems: Iterable[Problem]) -> list[Complaint]:
         """The problems in words, each with its place and key path.
@@ -160,6 +198,9 @@ def read_leniently(path: Path, content: bytes | None = None) -> Document:
 def override(document: Document, assignments: Iterable[str]) -> Document:
     """Apply ``--set`` assignments such as ``excitation.high=2*pi``; values are read as YAML.
 
+    Null takes an entry that has a name of its own out of the file, as in ``figures.wide=null``, or all of a
+    section.
+
     ConfigError with all assignments that cannot be read or whose path leads nowhere.
     """
     errors: list[str] = []
@@ -182,7 +223,7 @@ def _assigned(document: Document, assignment: str) -> Document:
     value = reader.read(text)
     if reader.complaints:
         raise error_of(reader.complaints)
-    return document.patched(path, value, place)
+    return document.assigned(path, value, place)
 
 
 def split_assignment(document: Document, assignment: str) -> tuple[str, str]:

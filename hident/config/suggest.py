@@ -1,11 +1,13 @@
-"""The nearest valid name, for error messages."""
+"""The nearest valid name, for error messages; lists and counts in words."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import Literal
 
 _LONGEST = 200
+_SINGULAR = {"": "", "are": "is", "were": "was"}
 
 
 def did_you_mean(name: str, allowed: Iterable[str]) -> str:
@@ -19,6 +21,21 @@ def did_you_mean(name: str, allowed: Iterable[str]) -> str:
 def one_of(names: Iterable[str]) -> str:
     """Return the names as a comma-separated list in their given order."""
     return ", ".join(str(name) for name in names)
+
+
+def counted(count: int, what: str, verb: Literal["", "are", "were"] = "") -> str:
+    """How many there are of what has a plural in s, and what they are.
+
+    Examples
+    --------
+    >>> counted(1, "trial"), counted(0, "trial"), counted(20, "trial", "are")
+    ('1 trial', '0 trials', '20 trials are')
+    >>> counted(1, "trial", "were")
+    '1 trial was'
+    """
+    if count == 1:
+        return " ".join(filter(None, (f"1 {what}", _SINGULAR[verb])))
+    return " ".join(filter(None, (f"{count} {what}s", verb)))
 
 
 def none_of(value: str, allowed: Iterable[str]) -> str:

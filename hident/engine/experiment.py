@@ -32,7 +32,7 @@ from hident.config.load import Document, Problem, content_of, override, problems
 from hident.config.references import CaseLabels, EstimatorName, Metric, Template, referring
 from hident.config.repeated import repeated
 from hident.config.spec import Component, Count, Of, Spec
-from hident.config.suggest import did_you_mean, there_is_no
+from hident.config.suggest import counted, did_you_mean, there_is_no
 from hident.config.yaml12 import Complaint, Location, Place, error_of
 from hident.engine.cases import (
     CHANGEABLE,
@@ -294,8 +294,8 @@ class Plan:
     def trials_said(self) -> str:
         """The number of trials in words."""
         if self.rule is not None:
-            return f"{self.rule.least} to {self.rule.most} trials"
-        return f"{self.trials} trial{'s' * (self.trials != 1)}"
+            return f"{self.rule.least} to {counted(self.rule.most, 'trial')}"
+        return counted(self.trials, "trial")
 
     def upto(self, decision: int) -> Plan:
         """The plan with the trials before a decision of its rule; the plan itself if it has none."""
@@ -497,7 +497,7 @@ def _unrepeatable(plan: Plan) -> Iterator[Problem]:
         if message := unit.data.unrepeatable(unit.estimator):
             found.setdefault(("estimators", unit.name) if unit.data.resampled else ("trials",), message)
     for place, message in found.items():
-        yield Problem(place, f"{plan.trials} trials are wanted, and {message}")
+        yield Problem(place, f"{counted(plan.trials, 'trial', 'are')} wanted, and {message}")
 
 
 def _missing_paper(plan: Plan) -> Iterator[Problem]:

@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from hident import stopping
+from hident.config.suggest import counted
 from hident.engine.chunks import Chunk, all_chunks
 from hident.engine.clock import Limit
 from hident.engine.executors import Given, SerialExecutor, WorkerDied, Workers, WorkersGone
@@ -131,7 +132,8 @@ def run(
         results, before = one.results(), one
         imprecise = results.imprecise()
         if plan.rule is not None:
-            said = f"{plan.name}: after {number} trials, {len(imprecise)} of its series are not precise yet"
+            after = f"{plan.name}: after {counted(number, 'trial')}"
+            said = f"{after}, {len(imprecise)} of its series are not precise yet"
             tell("decision", said, config=plan.name, trials=number, imprecise=len(imprecise))
         if not imprecise:
             break
@@ -200,7 +202,7 @@ class _Run:
         total, stored = len(self._units) * self._plan.trials, sum(unit.complete() for unit in self._units)
         of = {"config": self._plan.name, "perturbation": self._plan.perturbation}
         self._progress.start(total, stored)
-        said = f"{self._plan.name}: {total} trials, {stored} of them stored"
+        said = f"{self._plan.name}: {counted(total, 'trial')}, {stored} of them stored"
         tell("start", said, **of, total=total, stored=stored, workers=self._workers.count)
         try:
             yield
@@ -210,7 +212,8 @@ class _Run:
             raise
         finally:
             self._progress.finish()
-        tell("end", f"{self._plan.name}: all {total} trials are there", **of, outcome="finished")
+        there = f"{'all ' * (total != 1)}{counted(total, 'trial', 'are')} there"
+        tell("end", f"{self._plan.name}: {there}", **of, outcome="finished")
 
     def _described(self) -> dict[str, Any]:
         """What the keys stand for."""
@@ -431,7 +434,7 @@ def mended(plan: Plan, writer: Writer) -> str:
         return ""
     now = reached(plan, writer)
     saved, total = sum(_stored(now, writer)), now.trials * len(now.units)
-    return f"{writer.mended}; {saved} of the {total} trials of {plan.name} are saved"
+    return f"{writer.mended}; {saved} of the {counted(total, 'trial')} of {plan.name} are saved"
 
 
 def reached(plan: Plan, reader: Reader) -> Plan:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from hident.arrays import Array
+from hident.config.suggest import counted
 from hident.errors import EstimationError
 
 Unconverged = Literal["fail", "keep"]
@@ -45,8 +46,7 @@ def settle(converged: bool, iterations: int, unconverged: Unconverged) -> None:
         If it has not converged and counts as failed.
     """
     if not converged and unconverged == "fail":
-        plural = "s" * (iterations != 1)
         raise EstimationError(
-            f"the iteration has not converged in {iterations} iteration{plural}: allow more with "
+            f"the iteration has not converged in {counted(iterations, 'iteration')}: allow more with "
             "'max_iterations', or keep the last iterate with 'unconverged: keep'"
         )

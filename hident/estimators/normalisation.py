@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hident.arrays import Array, Characteristic
-from hident.config.suggest import one_of
+from hident.config.suggest import counted, one_of
 from hident.linear_blocks import ContinuousTransferFunction, TransferFunction, significant
 from hident.numerics.freedoms import Freedom, multiple
 from hident.numerics.least_squares import is_sum_of
@@ -307,12 +307,12 @@ def behind(rule: Normalisation, delay: int | None, *, responses: bool = False) -
             if own == lag:
                 raise
             raise ValueError(
-                f"the system's block delays its input by {own} sample{'' if own == 1 else 's'}, and the "
+                f"the system's block delays its input by {counted(own, 'sample')}, and the "
                 f"estimator counts on {lag}: set the estimator's 'delay' to {own}, or to search"
             ) from None
 
-    counted = "" if delay == 0 else ", lags counted from the delay" + ("" if delay is None else f" {delay}")
-    return replace(rule, rule=rule.rule + counted, factors=factors)
+    lags = "" if delay == 0 else ", lags counted from the delay" + ("" if delay is None else f" {delay}")
+    return replace(rule, rule=rule.rule + lags, factors=factors)
 
 
 def behind_found(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Literal
 
-from hident.config.suggest import one_of
+from hident.config.suggest import counted, one_of
 from hident.engine.run_files import RUN, SENSITIVITY, TIMING, TRIALS
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.ledger.compare import compare
@@ -27,7 +27,7 @@ class Accepted:
 
     def __str__(self) -> str:
         count = len(self.differences)
-        extent = f", {count} difference{'s' * (count != 1)}" if count else ""
+        extent = f", {counted(count, 'difference')}" if count else ""
         return f"{self.config}: {self.change}{extent}"
 
 
@@ -93,7 +93,7 @@ def _files(ours: Path, config: str) -> set[PurePath]:
         names = one_of(undrawn)
         raise ConfigError(f"{ours} lacks {names}, which could not be drawn: hident run {config}")
     if count := folder.timed_out():
-        trials = f"{count} trial{'s' * (count != 1)}"
+        trials = counted(count, "trial")
         raise ConfigError(
             f"{ours} lacks {trials}, which the trial timeout ended: hident run {config}, without it or with "
             "a longer one"

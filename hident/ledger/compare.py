@@ -21,7 +21,7 @@ from collections.abc import Iterator, Set
 from dataclasses import dataclass
 from pathlib import Path
 
-from hident.config.suggest import one_of
+from hident.config.suggest import counted, one_of
 from hident.engine.results import STATISTICS
 from hident.engine.run_files import (
     BENCHMARKS,
@@ -236,7 +236,7 @@ class _Pair:
             return
         count, wanted = trials.ours.trials, trials.reference.trials
         if count != wanted and not self._partial:
-            yield f": {count} trials, reference {wanted}: --partial compares those of both", True
+            yield f": {counted(count, 'trial')}, reference {wanted}: --partial compares those of both", True
             return
         yield from ((f": {line}", True) for line in sorted(trials.unmatched()))
         moved = list(trials.moved(chance))

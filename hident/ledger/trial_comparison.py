@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hident.arrays import Array
+from hident.config.suggest import counted
 from hident.engine.results import STATISTICS, statistics
 from hident.ledger.contents import Row
 from hident.ledger.sensitivity import RTOL, Count, Sensitivity
@@ -75,7 +76,7 @@ class TrialComparison:
             if not which.any():
                 continue
             series, allowed = self.units[unit], not together
-            text = f"{self.reference.described(unit)}: {which.sum()} of {len(which)} trials "
+            text = f"{self.reference.described(unit)}: {which.sum()} of {counted(len(which), 'trial')} "
             if self.sensitivity is None:
                 text += f"differ ({_listed(which)}), though the arithmetic is the same"
                 allowed = False

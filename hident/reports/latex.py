@@ -10,6 +10,7 @@ import re
 import unicodedata
 from collections.abc import Callable, Iterable, Sequence
 
+from hident.config.suggest import counted
 from hident.reports.mathematics import typeset_by
 from hident.reports.table import Table, is_number
 
@@ -159,7 +160,7 @@ def caption(shown: Table, trials: int, seed: int) -> str:
     """What stands above a table: its title, how many trials, their seed, and the statistic over them."""
     title = shown.title if shown.title.endswith((".", "?", "!")) else f"{shown.title}."
     statistic = f"; {shown.statistic}" if shown.statistic else ""
-    return f"{title} {trials} trial{'s' * (trials != 1)}, seed {seed}{statistic}."
+    return f"{title} {counted(trials, 'trial')}, seed {seed}{statistic}."
 
 
 def _is_wide(shown: Table) -> bool:

@@ -22,7 +22,7 @@ import hident
 from hident import arithmetic
 from hident.config.load import Problem
 from hident.config.spec import canonical
-from hident.config.suggest import one_of
+from hident.config.suggest import counted, one_of
 from hident.config.variables import texts as texts_in
 from hident.engine.experiment import Plan
 from hident.engine.fingerprint import code
@@ -177,7 +177,7 @@ def _power_page(plan: Plan, power: VerdictPower, trials: int) -> str:
     """What each table makes of each alternative, in words."""
     parts = [
         f"# {plan.experiment.title}",
-        f"What the printed numbers make of the alternatives, by {trials} trials of each.",
+        f"What the printed numbers make of the alternatives, by {counted(trials, 'trial')} of each.",
     ]
     if trials < FEWEST:
         parts.append(f"Fewer than {FEWEST} reject nothing by one number.")
@@ -233,7 +233,7 @@ def check(plan: Plan) -> None:
 def markdown(results: Results, verdicts: Sequence[Verdict], tables: Mapping[str, Table]) -> str:
     """The text of table.md."""
     experiment = results.plan.experiment
-    parts = [f"# {experiment.title}", f"{results.plan.trials} trials, seed {results.plan.seed}."]
+    parts = [f"# {experiment.title}", f"{counted(results.plan.trials, 'trial')}, seed {results.plan.seed}."]
     if rule := _rule_said(results):
         parts.append(rule)
     if records := _records(results.plan):

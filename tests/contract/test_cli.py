@@ -6,6 +6,7 @@ import itertools
 import json
 import os
 import pty
+import re
 import shutil
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from typer.testing import CliRunner
 
 import hident
@@ -233,6 +235,29 @@ def test_rerun_does_nothing_and_a_title_rewrites_without_a_trial(done: Lab) -> N
     assert said.splitlines() == ["tiny: all 24 trials are stored", "tiny: wrote out/tiny"]
     assert "# Another title" in (done.folder / "out/tiny/table.md").read_text()
     assert done.trials() == trials
+
+
+def test_one_trial_is_no_trials_in_any_output(lab: Lab) -> None:
+    lab.configure(trials=1, cases={}, samples=50, formats=["png", "tex"], tables={}, figures={})
+    spare = yaml.safe_load((lab.folder / "tiny.yaml").read_text())
+    only = f"--set=estimators.{next(iter(spare['estimators']))}=null"
+    said = ""
+    for verb in (
+        ["validate", "tiny.yaml"],
+        ["run", "tiny.yaml", "--jobs", "1", "--log", "log.jsonl"],
+        ["run", "tiny.yaml", "--jobs", "1", "--out", "again"],
+        ["status", "tiny.yaml"],
+        ["show", "out/tiny"],
+        ["show", "out"],
+        ["export", "tiny.yaml", "a.csv"],
+        ["validate", "tiny.yaml", only],
+    ):
+        done = lab.hident(*verb)
+        said += done.stdout + done.stderr
+    written = [*(lab.folder / "out/tiny").glob("*.md"), *(lab.folder / "out/tiny").glob("*.tex")]
+    said += "".join(path.read_text() for path in [*written, lab.folder / "log.jsonl"])
+    assert "1 trial" in said
+    assert not re.findall(r"(?<![\d.,/])1 (?:trials|cases|estimates|rows|runs|samples)\b.*", said)
 
 
 def test_an_altered_or_missing_output_is_written_again(done: Lab) -> None:

@@ -146,13 +146,13 @@ def test_an_estimator_left_out_of_every_case_is_refused(refused) -> None:
     ("assignment", "message"),
     [
         (
-            "estimators.kernel=null",
+            "estimators={kernel: null}",
             "estimators.kernel: must be an estimator; only a label of an axis can set it to null, "
             "to leave it out (got null)",
         ),
         ("noise=null", "noise: must be a noise or a list of them; write [] for none (got null)"),
         ("system=null", "system: must be a mapping with 'kind:' (allowed: "),
-        ("metrics.mise=null", "metrics.mise: must be a mapping with 'kind:' (allowed: "),
+        ("metrics={mise: null}", "metrics.mise: must be a mapping with 'kind:' (allowed: "),
         ("cases.system=[null]", "system: must be a mapping with 'kind:' (allowed: "),
         (
             "cases.metrics.mise=[null]",

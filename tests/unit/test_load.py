@@ -437,6 +437,37 @@ def test_assignments_are_applied_in_their_order_and_read_as_yaml():
     assert after.data["new"] == "a=b"
 
 
+def test_null_takes_out_what_has_a_name_of_its_own():
+    data = {
+        "noise": {"std": 1},
+        "figures": {"wide": {}, "b": {}},
+        "estimators": {"W": {"kind": "w", "known_point": {}}},
+        "cases": {"N": [1], "noise.std": [2]},
+    }
+
+    def left(*assignments):
+        return override(Document("f", data), assignments).data
+
+    assert left("figures.wide=null")["figures"] == {"b": {}}
+    assert "figures" not in left("figures=null")
+    assert "tables" not in left("tables=null")
+    assert left("estimators.W=null")["estimators"] == {}
+    assert left("cases.noise.std=null")["cases"] == {"N": [1]}
+    # What has no name of its own is set to null.
+    assert left("estimators.W.known_point=null")["estimators"]["W"]["known_point"] is None
+    assert left("noise=null")["noise"] is None
+    assert data["figures"] == {"wide": {}, "b": {}}
+    with pytest.raises(ConfigError) as caught:
+        left("figures.wider=null")
+    assert str(caught.value) == "--set figures.wider=null: figures.wider: " + (
+        "there is no figure 'wider'; did you mean 'wide'? (there are: wide, b)"
+    )
+    with pytest.raises(
+        ConfigError, match=r"^--set tables\.a=null: tables\.a: there is no table 'a' \(there is"
+    ):
+        left("tables.a=null")
+
+
 def test_problems_are_shown_once_in_the_order_of_their_lines():
     problems = [
         Problem(("system", "linear", "a", 1), "is wrong", 0.1),

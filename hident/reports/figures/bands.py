@@ -11,7 +11,7 @@ from pydantic import Field
 from hident.arrays import Array
 from hident.config.references import EstimatorName
 from hident.config.spec import Count, NonEmpty, Spec, component
-from hident.config.suggest import one_of, there_is_no
+from hident.config.suggest import counted, one_of, there_is_no
 from hident.config.yaml12 import Location
 from hident.engine.experiment import Plan, Unit
 from hident.engine.replay import OneTrial
@@ -102,7 +102,7 @@ class Bands(FigureSpec):
         plan = results.plan
         names = list(dict.fromkeys(name for panel in self.panels for name in panel.estimators))
         measured = any(self.panels[0].unit(plan, name).data.resampled for name in names)
-        of = f"{plan.trials - 1} bootstraps" if measured else f"{plan.trials} trials"
+        of = f"{plan.trials - 1} bootstraps" if measured else counted(plan.trials, "trial")
         band = f"bands: central {100 * _BAND:g} % of {of}, at each point" if plan.trials > 2 else ""
         return "; ".join(filter(None, (band, first_case(plan, names))))
 

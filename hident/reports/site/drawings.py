@@ -14,6 +14,7 @@ from itertools import groupby
 import numpy as np
 
 from hident.arrays import Array
+from hident.config.suggest import counted
 from hident.ledger.verify import TableState
 from hident.reports.site.facts import WORDS
 from hident.reports.site.numbers import Number, chance
@@ -181,7 +182,7 @@ def distribution(number: Number) -> str:
         for at, anchor, value in ((_MARGIN, "", low), (_WIDTH - _MARGIN, ' text-anchor="end"', high))
     ]
     beyond = int(np.sum((values < low) | (values > high)))
-    said = f"{len(values)} trials" + (f", {beyond} beyond" if beyond else "")
+    said = counted(len(values), "trial") + (f", {beyond} beyond" if beyond else "")
     parts.append(f'<text x="{_WIDTH / 2:g}" y="{_BASE + 18:g}" text-anchor="middle">{said}</text>')
     label = f"Distribution of {said}"
     return (

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hident.config.suggest import counted
 from hident.engine.run_files import CRASHES, POWER, RUN, VERDICTS
 from hident.errors import ConfigError
 from hident.ledger.judged import COUNTED
@@ -135,7 +136,8 @@ def _faults(folder: RunFolder) -> Iterator[str]:
     )
     yield from (f"{name} could not be drawn" for name in folder.undrawn())
     if ended := folder.timed_out():
-        yield f"{ended} trials were ended by the clock, and count as failed"
+        verb = "counts" if ended == 1 else "count"
+        yield f"{counted(ended, 'trial', 'were')} ended by the clock, and {verb} as failed"
 
 
 def _is_sound(published: Any) -> bool:

@@ -10,6 +10,7 @@ from decimal import Decimal
 import numpy as np
 
 from hident.arrays import Array
+from hident.config.suggest import counted
 from hident.ledger.judged import Judged
 from hident.ledger.power import VerdictPower
 from hident.ledger.trial_values import TrialValues
@@ -152,7 +153,7 @@ class Number:
             "misprint": self.is_misprint,
             "derived": self.is_derived,
             "not counted": not self.judged.counts,
-            f"{self.trials - self.failed} of {self.trials} trials": self.is_rare,
+            f"{self.trials - self.failed} of {counted(self.trials, 'trial')}": self.is_rare,
             "wide": self.is_wide,
         }
         return tuple(word for word, holds in said.items() if holds)

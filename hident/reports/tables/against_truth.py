@@ -10,6 +10,7 @@ from pydantic import Field
 
 from hident.config.references import CaseLabels, EstimatorName, value_of
 from hident.config.spec import Count, component
+from hident.config.suggest import counted
 from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside_trials
@@ -89,4 +90,4 @@ def _missing(shown: dict[tuple[str, str], Series], trials: int) -> Iterator[str]
     """In how many trials an estimator did not determine a value, where it is any."""
     for (heading, name), series in shown.items():
         if failed := int(series.statistics["failed"]):
-            yield f"{heading}: {name} is not determined in {failed} of {trials} trials."
+            yield f"{heading}: {name} is not determined in {failed} of {counted(trials, 'trial')}."

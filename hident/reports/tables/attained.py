@@ -10,6 +10,7 @@ from pydantic import Field
 
 from hident.config.references import EstimatorName, MetricLabel
 from hident.config.spec import NonEmpty, Real, component
+from hident.config.suggest import counted
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict
 from hident.reports.base import Table, TableSpec
@@ -52,7 +53,7 @@ class Attained(TableSpec):
             for row in data.itertuples(index=False)
         )
         note = (
-            f"Percentage of {results.plan.trials} trials in which {self.metric} is at most "
+            f"Percentage of {counted(results.plan.trials, 'trial')} in which {self.metric} is at most "
             f"{1.0 + self.within:g} times that of {self.reference}."
         )
         header = tuple(map(str, data.columns))

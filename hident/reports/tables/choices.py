@@ -9,6 +9,7 @@ import numpy as np
 
 from hident.config.references import EstimatorName, MetricLabel
 from hident.config.spec import NonEmpty, component
+from hident.config.suggest import counted
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict
 from hident.reports.base import Table, TableSpec
@@ -42,7 +43,7 @@ class Choices(TableSpec):
         data = pd.DataFrame(
             [(*head, *row) for head, row in zip(heads, shares, strict=True)], columns=list(header)
         )
-        notes = (f"Percent of {results.plan.trials} trials.",)
+        notes = (f"Percent of {counted(results.plan.trials, 'trial')}.",)
         return Table(self.title, header, tuple(rows), notes, data, "percent of the trials", len(axes) + 1)
 
     def counts(self, results: Results, case: Series) -> Counter[Outcome]:

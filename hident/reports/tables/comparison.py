@@ -12,7 +12,7 @@ from pydantic import Field, field_validator, model_validator
 
 from hident.config.references import CaseLabels, EstimatorName, MetricLabel
 from hident.config.spec import Count, Real, component
-from hident.config.suggest import one_of
+from hident.config.suggest import counted, one_of
 from hident.engine.comparable import in_units, to_one_unit
 from hident.engine.experiment import Label, Plan, Unit
 from hident.engine.results import Results, Series
@@ -348,14 +348,14 @@ class Comparison(TableSpec):
         tested = "logarithms of the ratios" if self.of == "log_ratio" else "differences"
         yield (
             f"{better}: by Wilcoxon's signed-rank test of the {tested} at 5 %, adjusted by Holm over "
-            f"the {tests} test{'s' * (tests != 1)} of this table."
+            f"the {counted(tests, 'test')} of this table."
         )
         if self.reference is None:
             yield "Rank: one more than the number of methods that are better in that case."
         if self.show == "ranks":
             yield f"In brackets the {self.statistic} of {self.metric} over the trials that did not fail."
         if 0 < trials < (least := trials_to_tell(tests)):
-            count = "One trial tells" if trials == 1 else f"{trials} trials tell"
+            count = "One trial tells" if trials == 1 else f"{counted(trials, 'trial')} tell"
             yield f"{count} no two methods apart, whatever they give: {tests} tests take at least {least}."
 
     def _warnings(self, results: Results, found: Sequence[Versus]) -> Iterator[str]:

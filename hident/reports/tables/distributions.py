@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from hident.arrays import Array
 from hident.config.references import CaseLabels, EstimatorName, Metric
 from hident.config.spec import Count, NonEmpty, Spec, component
-from hident.config.suggest import did_you_mean, one_of
+from hident.config.suggest import counted, did_you_mean, one_of
 from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside_trials
@@ -166,7 +166,8 @@ def _failures(cells: Sequence[_Cell]) -> Iterator[str]:
     for failed, headings in counts.items():
         where, there = (f" in {one_of(headings)}", " there") if len(counts) > 1 else ("", "")
         if failed:
-            yield f"{failed} of {len(cells[0].series.values)} trials failed{where} and are left out{there}."
+            trials = counted(len(cells[0].series.values), "trial")
+            yield f"{failed} of {trials} failed{where} and are left out{there}."
 
 
 def _data(results: Results, cells: Sequence[_Cell]) -> pd.DataFrame:

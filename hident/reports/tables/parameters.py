@@ -11,6 +11,7 @@ from pydantic import Field
 from hident.arrays import Array
 from hident.config.references import EstimatorName, MetricLabel, ValueName, value_of
 from hident.config.spec import Count, NonEmpty, component
+from hident.config.suggest import counted
 from hident.engine.experiment import Plan
 from hident.engine.results import Results, Series
 from hident.ledger.verdicts import Verdict, beside
@@ -113,7 +114,8 @@ class Efficiency(TableSpec):
             for row in data.itertuples(index=False)
         )
         error = np.sqrt(2.0 / max(results.plan.trials - 1, 1))
-        note = f"Relative standard error of each entry: {error:.3f} ({results.plan.trials} trials)."
+        trials = counted(results.plan.trials, "trial")
+        note = f"Relative standard error of each entry: {error:.3f} ({trials})."
         statistic, heads = "squared bound over variance", len(data.columns) - len(columns)
         return Table(self.title, tuple(map(str, data.columns)), shown, (note,), data, statistic, heads)
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hident.config.suggest import one_of
+from hident.config.suggest import counted, one_of
 from hident.engine.results import Series
 from hident.ledger.verdicts import Verdict, Word
 
@@ -96,7 +96,7 @@ def failures(series: Iterable[Series]) -> Iterator[str]:
         metrics = f" for {one_of(one.metrics)}" if one.of_metrics else ""
         whose = "its" if metrics else "the"
         yield (
-            f"{one.failed} of {one.trials} trials of {one.series[0].unit.described()} "
+            f"{one.failed} of {counted(one.trials, 'trial')} of {one.series[0].unit.described()} "
             f"failed{metrics}{_why(one.reasons)} and are left out of {whose} statistics."
         )
 
