@@ -122,14 +122,20 @@ class FittedModel:
         >>> model.level(hi.Record([21.0, 22.0], [5.0, 7.0])).u
         array([1., 2.])
         """
-        u, y = self._shifts(record)
+        u, y = self.shifts(record)
         if not (u or y):
             return record
         offsets = dict(zip(("input", "output"), self.offsets, strict=True))
         return replace(record, u=record.u - u, y=record.y - y, offsets=offsets)
 
-    def _shifts(self, record: Record) -> tuple[float, float]:
-        """What is left to take off a record's input, and to add to the chain's output for its own."""
+    def shifts(self, record: Record) -> tuple[float, float]:
+        """What is left to take off a record's input, and to add to the chain's output for its own.
+
+        Raises
+        ------
+        ValueError
+            As :meth:`level`.
+        """
         if self.is_detrended:
             if not record.detrended:
                 raise ValueError(
@@ -156,7 +162,7 @@ class FittedModel:
             If an input is not of shape (N,), or :meth:`level` raises one.
         """
         made = self.signals(record)[-1]
-        add = self._shifts(record)[1] if isinstance(record, Record) else self.offsets[1]
+        add = self.shifts(record)[1] if isinstance(record, Record) else self.offsets[1]
         return made + add if add else made
 
     def _for(self, record: Record) -> BlockChain:

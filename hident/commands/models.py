@@ -277,7 +277,8 @@ class _Run:
             if beyond:
                 if i == 0:
                     # In the units of the record, less no offset.
-                    fitted = tuple(end + self.record.u[0] - x[0] for end in fitted)
+                    shift, _ = self.model.shifts(self.record)
+                    fitted = (fitted[0] + shift, fitted[1] + shift)
                     x = self.record.u
                 found.append(
                     f"{beyond} of {len(x)} samples ({_percent(beyond / len(x))}) of the input of {name} lie "

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
+from functools import cached_property
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -79,10 +80,13 @@ class _Process(SystemSpec):
         feasible = np.where(inputs >= 0.0, inputs, np.nan)
         return self._measure(self.steady_state(feasible))
 
+    @cached_property
+    def _output_at_rest(self) -> float:
+        return float(self.steady_output(np.array(self.steady_input)))
+
     def gain_curve(self, u: Array) -> Array:
         """The steady output's deviation (...) at deviations ``u`` (...) of the flow; nan below no flow."""
-        steady = self.steady_output(np.array(self.steady_input))
-        return self.steady_output(self.steady_input + np.asarray(u)) - steady
+        return self.steady_output(self.steady_input + np.asarray(u)) - self._output_at_rest
 
     def check(self, dt: float | None) -> None:
         if dt is None:
@@ -118,11 +122,14 @@ class _Process(SystemSpec):
 
     def truth(self) -> Truth:
         """The gain curve as the nonlinearity, the process itself as the response, and its steady state."""
-        steady = float(self.steady_output(np.array(self.steady_input)))
         return Truth(
             nonlinearity=self.gain_curve,
             response=self.simulate,
-            values={"steady_input": self.steady_input, "steady_output": steady, **self._values()},
+            values={
+                "steady_input": self.steady_input,
+                "steady_output": self._output_at_rest,
+                **self._values(),
+            },
         )
 
 

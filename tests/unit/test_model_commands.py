@@ -113,6 +113,13 @@ def test_an_input_beyond_the_range_of_the_fit_is_warned_of(folder):
     )
 
 
+def test_the_range_of_the_fit_is_in_the_unit_of_the_record_whatever_its_first_sample(folder):
+    hi.write_model(replace(MODEL, about={**MODEL.about, "offsets": {"input": 20.0}}), folder / "off.json")
+    save(folder / "wide.csv", u=np.array([1e20, 22.0, 23.0, 25.0]))
+    done = run_forked(["simulate", "off.json", "wide.csv"], folder)
+    assert "2 of 4 samples (50.0 %) of the input of N lie beyond 21.2 to 23.9, where it was" in done.stderr
+
+
 def test_without_known_ranges_the_span_of_the_basis_counts(folder):
     block = StaticFunction(DeadZone(-1.0, 1.0), (0.0, 1.0, 1.0))
     hi.write_model(FittedModel(BlockChain((VALVE, block, TANK))), folder / "tank.json")

@@ -82,6 +82,28 @@ def test_tank_rests_at_the_printed_steady_states(q_b, ph):
     assert round(float(build(TANK).steady_output(np.array(q_b))), 4) == ph
 
 
+@pytest.mark.parametrize("plain", [NEUTRALISATION, TANK])
+def test_the_steady_output_is_solved_once(plain, monkeypatch):
+    solved = 0
+
+    def counting(*arguments):
+        nonlocal solved
+        solved += 1
+        return root(*arguments)
+
+    root = processes._root_in_ph
+    monkeypatch.setattr(processes, "_root_in_ph", counting)
+    spec = build(plain)
+    for _ in range(3):
+        spec.truth()
+        spec.provides()
+    assert solved == 1
+    spec.truth().nonlinearity(np.zeros(2))
+    assert solved == 2
+    assert spec == build(plain)
+    assert hash(spec) == hash(build(plain))
+
+
 def test_reactor_rests_at_the_printed_steady_state():
     values = build(REACTOR).truth().values
     assert round(values["steady_output"], 4) == 1.1172
