@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import errno
+import functools
+import inspect
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,6 +22,33 @@ from hident.errors import ConfigError, Exit, HidentError, NothingToCompare
 
 if TYPE_CHECKING:
     from hident.engine.experiment import Plan
+
+
+def _spread(**tables: Mapping[str, Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """The verb, with the options of each table in the place of a parameter that takes them as a mapping."""
+
+    def spread(verb: Callable[..., None]) -> Callable[..., None]:
+        signature = inspect.signature(verb, eval_str=True)
+        parameters: list[inspect.Parameter] = []
+        for name, own in signature.parameters.items():
+            if name not in tables:
+                parameters.append(own.replace(kind=own.KEYWORD_ONLY))
+            for field, annotation in tables.get(name, {}).items():
+                parameters.append(
+                    inspect.Parameter(field, own.KEYWORD_ONLY, default=None, annotation=annotation)
+                )
+
+        @functools.wraps(verb)
+        def spreading(**given: Any) -> None:
+            mappings = {name: {field: given.pop(field) for field in table} for name, table in tables.items()}
+            verb(**given, **mappings)
+
+        del spreading.__wrapped__
+        spreading.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+        spreading.__annotations__ = {one.name: one.annotation for one in parameters}
+        return spreading
+
+    return spread
 
 
 class _Unforeseen(Exception):
@@ -100,44 +129,64 @@ Samples = Annotated[
     list[Path],
     typer.Argument(help="A file of samples (CSV, Parquet, MAT, NPZ, HDF5, ...), or one for each experiment."),
 ]
-InputColumn = Annotated[
-    str | None,
-    typer.Option("--input", metavar="COLUMN", help="Name or number of the input's column; A,B: experiments."),
-]
-OutputColumn = Annotated[
-    str | None, typer.Option("--output", metavar="COLUMN", help="Name or number of the output's column.")
-]
-Dt = Annotated[
-    str | None, typer.Option("--dt", metavar="DT", help="Sampling interval; a formula such as 1/51200 too.")
-]
-Time = Annotated[
-    str | None, typer.Option(metavar="COLUMN", help="The column of the sampling times, in place of --dt.")
-]
-Estimate = Annotated[
-    str | None, typer.Option(metavar="FIRST..LAST", help="Samples to estimate from, counted from 1.")
-]
-Validate = Annotated[
-    str | None,
-    typer.Option(metavar="WHAT", help="For validation: FIRST..LAST, two columns INPUT,OUTPUT, or a file."),
-]
-Detrend = Annotated[str | None, typer.Option(metavar="mean|linear", help="Take off the means, or a line.")]
-Resample = Annotated[
-    str | None, typer.Option(metavar="DT", help="Interpolate uneven times at an interval, along lines.")
-]
-Decimate = Annotated[
-    int | None, typer.Option(metavar="FACTOR", help="Keep every so many-th sample, behind a filter.")
-]
-Gaps = Annotated[
-    str | None,
-    typer.Option(metavar="error|split", help="A missing sample is an error (the default), or a part's end."),
-]
-Missing = Annotated[
-    str | None,
-    typer.Option(metavar="VALUES", help="What stands for a missing sample, such as -9999; several: A,B."),
-]
-Decimal = Annotated[
-    str | None, typer.Option(metavar=".|,", help="What stands before decimals in text; by default, as seen.")
-]
+_WHICH: Mapping[str, Any] = {
+    "input": Annotated[
+        str | None,
+        typer.Option(
+            "--input", metavar="COLUMN", help="Name or number of the input's column; A,B: experiments."
+        ),
+    ],
+    "output": Annotated[
+        str | None,
+        typer.Option("--output", metavar="COLUMN", help="Name or number of the output's column."),
+    ],
+    "estimation": Annotated[
+        str | None,
+        typer.Option("--estimate", metavar="FIRST..LAST", help="Samples to estimate from, counted from 1."),
+    ],
+    "validation": Annotated[
+        str | None,
+        typer.Option(
+            "--validate",
+            metavar="WHAT",
+            help="For validation: FIRST..LAST, two columns INPUT,OUTPUT, or a file.",
+        ),
+    ],
+}
+"""Which samples are meant, by the fields of a record."""
+_HOW: Mapping[str, Any] = {
+    "dt": Annotated[
+        str | None,
+        typer.Option("--dt", metavar="DT", help="Sampling interval; a formula such as 1/51200 too."),
+    ],
+    "time": Annotated[
+        str | None, typer.Option(metavar="COLUMN", help="The column of the sampling times, in place of --dt.")
+    ],
+    "detrend": Annotated[
+        str | None, typer.Option(metavar="mean|linear", help="Take off the means, or a line.")
+    ],
+    "resample": Annotated[
+        str | None, typer.Option(metavar="DT", help="Interpolate uneven times at an interval, along lines.")
+    ],
+    "decimate": Annotated[
+        int | None, typer.Option(metavar="FACTOR", help="Keep every so many-th sample, behind a filter.")
+    ],
+    "gaps": Annotated[
+        str | None,
+        typer.Option(
+            metavar="error|split", help="A missing sample is an error (the default), or a part's end."
+        ),
+    ],
+    "missing": Annotated[
+        str | None,
+        typer.Option(metavar="VALUES", help="What stands for a missing sample, such as -9999; several: A,B."),
+    ],
+    "decimal": Annotated[
+        str | None,
+        typer.Option(metavar=".|,", help="What stands before decimals in text; by default, as seen."),
+    ],
+}
+"""How a record is read, by its fields: one table for all verbs that read one."""
 ModelFile = Annotated[Path, typer.Argument(help="A fitted model: model.json.")]
 _STORE, _OUT, _RESULTS = Path(".hident"), Path("out"), Path("results")
 
@@ -588,6 +637,7 @@ def export(
 
 
 @app.command()
+@_spread(which=_WHICH, how=_HOW)
 def show(
     files: Annotated[
         list[Path] | None,
@@ -596,18 +646,9 @@ def show(
             "MAT, ...). The runs of out and results by default."
         ),
     ] = None,
-    input_: InputColumn = None,
-    output: OutputColumn = None,
-    dt: Dt = None,
-    time: Time = None,
-    estimate: Estimate = None,
-    validate: Validate = None,
-    detrend: Detrend = None,
-    resample: Resample = None,
-    decimate: Decimate = None,
-    gaps: Gaps = None,
-    missing: Missing = None,
-    decimal: Decimal = None,
+    *,
+    which: Mapping[str, Any],
+    how: Mapping[str, Any],
     trial: Annotated[
         int | None, typer.Option(min=0, help="Of a configuration: the number of the trial; 0 by default.")
     ] = None,
@@ -648,47 +689,34 @@ def show(
     formulas. Figures of these with --out. The options from --trial on are for a configuration, those before
     for a record.
     """
+    from hident.commands.measured import option
     from hident.commands.plans import is_config, load_plans
     from hident.commands.results_folders import is_results, list_runs
     from hident.commands.shown_run import show_results
 
-    of_record = {
-        "input": input_,
-        "output": output,
-        "dt": dt,
-        "time": time,
-        "estimate": estimate,
-        "validate": validate,
-        "detrend": detrend,
-        "resample": resample,
-        "decimate": decimate,
-        "gaps": gaps,
-        "missing": missing,
-        "decimal": decimal,
-    }
+    of_record = {option(field): value for field, value in {**which, **how}.items()}
     of_trial = {
-        "trial": trial,
-        "worst": worst,
-        "best": best,
-        "failed": failed or None,
-        "estimator": estimator,
-        "case": case,
-        "parquet": parquet or None,
-        "set": assignments,
-        "trials": trials,
-        "seed": seed,
-        "plugin": plugin,
+        "--trial": trial,
+        "--worst": worst,
+        "--best": best,
+        "--failed": failed or None,
+        "--estimator": estimator,
+        "--case": case,
+        "--parquet": parquet or None,
+        "--set": assignments,
+        "--trials": trials,
+        "--seed": seed,
+        "--plugin": plugin,
     }
     if not files or (len(files) == 1 and is_results(files[0])):
-        options = of_record | of_trial | {"out": out}
-        if strange := [f"--{name}" for name, value in options.items() if value is not None]:
+        options = of_record | of_trial | {"--out": out}
+        if strange := [name for name, value in options.items() if value is not None]:
             named = f"{files[0]} is a folder of results" if files else "no file is named"
             raise ConfigError(f"{named}, and {one_of(strange)} is for configurations and measured records")
         raise typer.Exit(show_results(files[0], _RESULTS) if files else list_runs([_OUT, _RESULTS]))
     config = len(files) == 1 and is_config(files[0])
-    if strange := [
-        f"--{name}" for name, value in (of_record if config else of_trial).items() if value is not None
-    ]:
+    others = of_record if config else of_trial
+    if strange := [name for name, value in others.items() if value is not None]:
         what = ("a configuration", "measured records") if config else ("no configuration", "configurations")
         raise ConfigError(f"{files[0]} is {what[0]}, and {one_of(strange)} is for {what[1]}")
     if config:
@@ -704,40 +732,16 @@ def show(
         return
     from hident.commands.looking import show
 
-    code = show(
-        files,
-        out,
-        input=input_,
-        output=output,
-        dt=dt,
-        time=time,
-        estimation=estimate,
-        validation=validate,
-        detrend=detrend,
-        resample=resample,
-        decimate=decimate,
-        gaps=gaps,
-        missing=missing,
-        decimal=decimal,
-    )
-    raise typer.Exit(code)
+    raise typer.Exit(show(files, out, **which, **how))
 
 
 @app.command()
+@_spread(which=_WHICH, how=_HOW)
 def identify(
     files: Samples,
-    input_: InputColumn = None,
-    output: OutputColumn = None,
-    dt: Dt = None,
-    time: Time = None,
-    estimate: Estimate = None,
-    validate: Validate = None,
-    detrend: Detrend = None,
-    resample: Resample = None,
-    decimate: Decimate = None,
-    gaps: Gaps = None,
-    missing: Missing = None,
-    decimal: Decimal = None,
+    *,
+    which: Mapping[str, Any],
+    how: Mapping[str, Any],
     structure: Annotated[
         list[str] | None,
         typer.Option(
@@ -788,22 +792,13 @@ def identify(
         delay,
         bootstraps,
         out,
-        input=input_,
-        output=output,
-        dt=dt,
-        time=time,
-        estimation=estimate,
-        validation=validate,
-        detrend=detrend,
-        resample=resample,
-        decimate=decimate,
-        gaps=gaps,
-        missing=missing,
-        decimal=decimal,
+        **which,
+        **how,
     )
 
 
 @app.command()
+@_spread(how=_HOW)
 def simulate(
     model: ModelFile,
     data: Samples,
@@ -814,15 +809,11 @@ def simulate(
     compare: Annotated[
         str | None, typer.Option(metavar="COLUMN", help="Column of a measured output to compare with.")
     ] = None,
-    dt: Dt = None,
-    time: Time = None,
+    *,
+    how: Mapping[str, Any],
     samples: Annotated[
         str | None, typer.Option(metavar="FIRST..LAST", help="Of each experiment, counted from 1.")
     ] = None,
-    detrend: Detrend = None,
-    resample: Resample = None,
-    decimate: Decimate = None,
-    gaps: Gaps = None,
     k_step: Annotated[
         int,
         typer.Option("--k-step", min=0, help="Predict so many samples ahead from --compare; 0 simulates."),
@@ -863,13 +854,8 @@ def simulate(
         any_dt=any_dt,
         out=out,
         plot=plot,
-        dt=dt,
-        time=time,
         estimation=samples,
-        detrend=detrend,
-        resample=resample,
-        decimate=decimate,
-        gaps=gaps,
+        **how,
     )
 
 

@@ -50,9 +50,10 @@ def _by_option(message: str, names: Mapping[str, str]) -> str:
     if field not in MeasuredRecord.model_fields:
         return message
     for other in ("dt", "time", "estimation", "detrend"):
-        rest = rest.replace(f"'{other}'", _option(other, names))
-    return f"{_option(field, names)}{colon}{rest}"
+        rest = rest.replace(f"'{other}'", option(other, names))
+    return f"{option(field, names)}{colon}{rest}"
 
 
-def _option(field: str, names: Mapping[str, str]) -> str:
+def option(field: str, names: Mapping[str, str] = _OPTIONS) -> str:
+    """The option that gives a field of a record."""
     return f"--{names.get(field, field)}"

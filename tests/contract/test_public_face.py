@@ -15,7 +15,9 @@ from typer.main import get_command
 import hident
 from hident import plugins
 from hident.cli import app
+from hident.commands.measured import option
 from hident.config.spec import PLURALS, Component, components, own_docstring
+from hident.measurements.measured_record import MeasuredRecord
 from hident.reports.base import ReportSpec
 from tests.forked import GUARD_SECONDS, ROOT
 
@@ -156,3 +158,14 @@ def test_every_verb_has_a_counterpart_or_is_known_to_have_none():
     for path in filter(None, COUNTERPARTS.values()):
         name, _, method = path.partition(".")
         assert callable(getattr(getattr(hident, name), method) if method else getattr(hident, name))
+
+
+def test_a_record_is_read_by_the_same_options_everywhere():
+    verbs = get_command(app).commands  # type: ignore[attr-defined]
+    options = {
+        verb: {option for one in verbs[verb].params for option in one.opts if option.startswith("--")}
+        for verb in ("show", "identify", "simulate")
+    }
+    named = {option(name) for name in MeasuredRecord.model_fields} - {"--file", "--units", "--offset"}
+    assert named - options["show"] == named - options["identify"] == set()
+    assert named - options["simulate"] == {"--output", "--estimate", "--validate"}

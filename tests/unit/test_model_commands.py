@@ -164,6 +164,25 @@ def test_a_record_is_read_as_for_a_fit(folder, command, options):
     assert columns["simulated"].tobytes() == simulated.tobytes()
 
 
+def test_codes_for_missing_samples_and_decimal_commas_are_read_as_for_a_fit(folder):
+    rough = Y.copy()
+    rough[[7, 8]] = -999.5
+    written = (f"{u:.17g};{y:.17g}".replace(".", ",") for u, y in zip(U, rough, strict=True))
+    (folder / "rough.csv").write_text("\n".join(("u;y", *written)), encoding="utf-8")
+    record, simulated = prepared(folder, dt=4, gaps="split", missing=[-999.5], decimal=",")
+    assert len(record.experiments) == 2
+    said(
+        folder,
+        "simulate tank.json rough.csv --compare y --dt 4 --gaps split --missing -999.5 --decimal , "
+        "--out sim.csv",
+    )
+    columns = np.genfromtxt(folder / "sim.csv", delimiter=",", names=True)
+    for name, expected in (("u", record.u), ("y", record.y), ("simulated", simulated)):
+        assert columns[name].tobytes() == expected.tobytes()
+    shown = said(folder, "simulate tank.json rough.csv --compare y --dt 4 --missing -999.5", 2)
+    assert "column 'y': sample 8 is missing (-999.5)" in shown
+
+
 def test_states_at_the_first_sample_are_found_if_asked_for(folder):
     moving = MODEL.chain.response(U, "settled", (np.array([3.0]),))
     save(folder / "moving.csv", u=U, y=moving)
