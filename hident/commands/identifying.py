@@ -25,6 +25,7 @@ from hident.config.spec import canonical
 from hident.config.suggest import did_you_mean, none_of, one_of
 from hident.engine.work import pin_blas
 from hident.errors import ConfigError, EstimationError
+from hident.estimators.base import varies
 from hident.fitted_model import FittedModel
 from hident.identification.bootstrap import Bootstrap, bootstrap
 from hident.identification.candidates import STRUCTURES
@@ -49,6 +50,8 @@ _MUCH, _LISTED = 0.05, 5
 _UNDETERMINED = 1.0 / 3.0
 # A fit below this, in percent, explains next to nothing.
 _POOR = 20.0
+# A lower one is a number without a meaning.
+_LEAST_SHOWN = -1e4
 
 
 def identify_file(
@@ -204,7 +207,6 @@ def blocks_in_words(trial: Trial) -> str:
 
 def _rows(found: Identification, record: Record, most: int | None) -> list[tuple[str, ...]]:
     """The table of what was tried: the best of each structure first."""
-    spread = float(np.std(found.parts.output)) or 1.0
     unit = record.units.get("output", "")
     rmse = f"RMSE {unit}".strip()
     head = ("structure", "blocks", "parameters", f"fitted {rmse}", f"kept apart {rmse}")
@@ -217,7 +219,7 @@ def _rows(found: Identification, record: Record, most: int | None) -> list[tuple
         if most is not None and seen[one.structure] > most and one is not found.chosen:
             continue
         assert one.fit is not None
-        fit = 100.0 * (1.0 - one.rms / spread)
+        fit = _fit(found, one)
         mark = "chosen" if one is found.chosen else "within one standard error" if i in found.within else ""
         rows.append(
             (
@@ -226,7 +228,7 @@ def _rows(found: Identification, record: Record, most: int | None) -> list[tuple
                 str(one.count),
                 f"{one.estimation:.4g}",
                 f"{one.rms:.4g}",
-                f"{fit:.2f}" if fit > -1e4 else "-",
+                "-" if fit is None or fit < _LEAST_SHOWN else f"{fit:.2f}",
                 f"{one.aic:.0f}",
                 f"{one.bic:.0f}",
                 f"{one.fit.agreeing} of {one.fit.finalists}",
@@ -234,6 +236,22 @@ def _rows(found: Identification, record: Record, most: int | None) -> list[tuple
             )
         )
     return rows
+
+
+def _fit(found: Identification, trial: Trial) -> float | None:
+    """100 (1 - NRMSE) of the samples kept apart; None if their output is constant, and has no spread."""
+    output = found.parts.output
+    return 100.0 * (1.0 - trial.rms / float(np.std(output))) if varies(output) else None
+
+
+def _still(found: Identification) -> Iterator[str]:
+    """Whether the samples kept apart stand still, and so tell little of a model."""
+    for name, signal in (("input", found.parts.input), ("output", found.parts.output)):
+        if not varies(signal):
+            yield (
+                f"warning: the {name} is {signal[0]:g} in all samples kept apart, which tell little of what "
+                "is chosen by them: keep others apart (--validate)"
+            )
 
 
 def _beyond(found: Identification) -> Iterator[str]:
@@ -303,14 +321,16 @@ def _said(
             reasons.setdefault(one.structure, []).append(one.reason)
     for structure, said in reasons.items():
         yield f"not fitted: {len(said)} of {structure}, such as: {said[0]}"
+    yield from _still(found)
     yield from _beyond(found)
     yield from _undetermined(model)
     if found.model_fit.finalists > 1 and found.model_fit.agreeing == 1:
         yield "warning: only one of the starts came to this optimum: there may be a better one"
-    fit = 100.0 * (1.0 - found.chosen.rms / (float(np.std(found.parts.output)) or 1.0))
-    if fit < _POOR:
+    fit = _fit(found, found.chosen)
+    if fit is not None and fit < _POOR:
+        low = f"{fit:.1f}" if fit > _LEAST_SHOWN else f"below {_LEAST_SHOWN:.0f}"
         yield (
-            f"warning: the best of these explains next to nothing (fit {fit:.1f} %): are these the right "
+            f"warning: the best of these explains next to nothing (fit {low} %): are these the right "
             "columns, is the system stable, does the input vary enough? `hident show` says more"
         )
     if found.parts.everything is not found.parts.estimation:

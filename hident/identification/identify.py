@@ -12,7 +12,7 @@ from hident.arrays import Array
 from hident.block_chain import Beginning
 from hident.config.spec import canonical
 from hident.errors import EstimationError
-from hident.estimators.base import require_usable
+from hident.estimators.base import require_usable, varies
 from hident.estimators.prediction_error.block_specs import LinearBlock
 from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain, fit_with_states
 from hident.estimators.prediction_error.criterion import Data
@@ -47,6 +47,8 @@ _NEAR_DELAY, _STEPS = 2, 8
 _FAR_FROM_LINEAR = 0.1
 # So many standard errors are no chance.
 _SURELY = 3.0
+# Errors below this part of the output's spread are rounding: no sensor has as many digits.
+_ROUNDING = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +134,10 @@ class Identification:
         """
         assert self.chosen.fit is not None
         made = self.parts.simulated(self.chosen.fit.point.parameters.chain)
-        return judgement(self.parts.input, self.parts.output, made, self.parts.kept_experiments)
+        whole = self.parts.everything.y
+        scale = float(np.max(np.abs(whole - np.mean(whole))))
+        parts = self.parts.kept_experiments
+        return judgement(self.parts.input, self.parts.output, made, parts, scale=scale)
 
 
 def identify(
@@ -189,8 +194,9 @@ def identify(
     if by not in get_args(By):
         raise ValueError(f"'by' must be one of {', '.join(get_args(By))}, not {by!r}")
     require_usable(record)
-    # On matrices of a few rows, BLAS's threads take several times the processor time of one.
-    with threadpool_limits(1):
+    # On matrices of a few rows, BLAS's threads take several times the processor time of one. What is not
+    # finite in a chain that is tried is a reason against it, and no warning.
+    with threadpool_limits(1), np.errstate(all="ignore"):
         search = _Search(split(record, n_init, start), by, tell, delay_of(record)[1], delay, start, n_init)
         return search.identified(structures)
 
@@ -218,6 +224,13 @@ class _Search:
             raise EstimationError(
                 f"a delay of {given} samples is too long: the shortest experiment has {shortest} to fit"
             )
+        for signal, name in ((parts.estimation.u, "input"), (parts.estimation.y, "output")):
+            fitted = signal[parts.estimation.counted]
+            if not varies(fitted):
+                raise EstimationError(
+                    f"the {name} is {fitted[0]:g} in all samples that are to be fitted, which tell nothing: "
+                    f"it varies only in others ({parts.said}, and the first ones)"
+                )
         self.parts, self.by, self._tell = parts, by, tell
         self.trials: list[Trial] = []
         self.short = parts.estimation.busiest(_COMPARED)
@@ -227,6 +240,7 @@ class _Search:
         self.n_init = n_init or 0 if parts.finds_states else parts.everything.n_init
         self.functions = Functions.of_input(parts.estimation.u)
         self.is_far_from_linear = False
+        self.nothing = _ROUNDING * float(np.std(parts.everything.y))
 
     def identified(self, structures: Sequence[str]) -> Identification:
         self.lag = self._lag()
@@ -249,7 +263,7 @@ class _Search:
             # All that is to be fitted now, from each first sample on.
             whole = replace(self.parts.everything, n_init=self.n_init)
             fit = _counted_as(fit_with_states(chosen.spec.structure(), fit.point.parameters, whole), fit)
-        near = near_the_best(self._wanted(structures))
+        near = near_the_best(self._wanted(structures), self.nothing)
         within = frozenset(i for i, one in enumerate(self.trials) if one in near)
         notes = self.functions.notes(structures)
         trials = tuple(self.trials)
@@ -302,7 +316,7 @@ class _Search:
             return 2
         left = min(one.estimation for one in linear)
         self.is_far_from_linear = left**2 > _FAR_FROM_LINEAR * float(np.var(self.parts.estimation.y))
-        chosen = simplest(linear, self.by)
+        chosen = simplest(linear, self.by, self.nothing)
         if is_asked:
             self._tightened(chosen, few)
         return 1 + linear.index(chosen)
@@ -390,10 +404,10 @@ class _Search:
 
         Orders were compared with another function: with the chosen one, lower ones may do.
         """
-        chosen = preferred(wanted, self.by)
+        chosen = preferred(wanted, self.by, self.nothing)
         while (spec := _smaller(chosen.spec)) is not None:
             smaller = self._fitted(chosen.structure, spec, self.short)
-            if smaller.fit is None or preferred([*wanted, smaller], self.by) is not smaller:
+            if smaller.fit is None or preferred([*wanted, smaller], self.by, self.nothing) is not smaller:
                 break
             wanted = [*wanted, smaller]
             chosen = smaller
@@ -474,32 +488,35 @@ def best(trials: Sequence[Trial], by: By) -> Trial:
     return trials[first_least([one.worth(by) for one in trials])]
 
 
-def near_the_best(trials: Sequence[Trial]) -> list[Trial]:
-    """The trials that the samples kept apart do not tell from the best of them."""
+def near_the_best(trials: Sequence[Trial], nothing: float = 0.0) -> list[Trial]:
+    """The trials that the samples kept apart do not tell from the best of them.
+
+    Errors below ``nothing`` are no more than rounding.
+    """
     found = [one for one in trials if one.fit is not None]
-    near = within_one_standard_error([one.validation for one in found])
+    near = within_one_standard_error([np.maximum(one.validation, nothing**2) for one in found])
     return [one for one, is_near in zip(found, near, strict=True) if is_near]
 
 
-def simplest(trials: Sequence[Trial], by: By) -> Trial:
+def simplest(trials: Sequence[Trial], by: By, nothing: float = 0.0) -> Trial:
     """The one with the fewest parameters that cannot be told from the best; by a criterion, the best."""
     if by != "validation":
         return best(trials, by)
-    return min(near_the_best(trials), key=lambda one: (one.count, one.rms))
+    return min(near_the_best(trials, nothing), key=lambda one: (one.count, one.rms))
 
 
-def preferred(trials: Sequence[Trial], by: By) -> Trial:
+def preferred(trials: Sequence[Trial], by: By, nothing: float = 0.0) -> Trial:
     """As :func:`simplest`, but for those that are surely worse than the best on the samples that are fitted.
 
     Where few samples are kept apart, a chain may be as good there by chance; the many others tell.
     """
     if by != "validation":
         return best(trials, by)
-    near = near_the_best(trials)
+    near = near_the_best(trials, nothing)
     first = min(near, key=lambda one: one.rms)
 
     def is_surely_worse(one: Trial) -> bool:
-        more = one.fitted - first.fitted
+        more = np.maximum(one.fitted, nothing**2) - np.maximum(first.fitted, nothing**2)
         return float(np.mean(more)) > _SURELY * standard_error(more)
 
     return min((one for one in near if not is_surely_worse(one)), key=lambda one: (one.count, one.rms))

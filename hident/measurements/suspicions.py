@@ -32,6 +32,8 @@ _MANY = 0.005
 _COARSE = 0.1
 _STILL = 20
 _QUIET = 100
+# The standard deviation beside the level, of which a computation in 16 digits keeps too few.
+_ROUNDED = 1e-7
 _MOVING = 0.1
 
 
@@ -56,6 +58,12 @@ def suspicions(
         # All else would be said of the codes.
         yield from codes
         return
+    for what, signal in zip(("input", "output"), signals, strict=True):
+        if signal.std < _ROUNDED * abs(signal.mean):
+            yield (
+                f"The {what} varies by {signal.std / abs(signal.mean):.1g} of its level ({signal.mean:.4g}): "
+                "few digits are left of what it tells: take the level off (--detrend mean)."
+            )
     yield from _of_excitation(signals[0], excitation)
     yield from _of_delay(found, delay)
     whose = [f" of '{name}'" for name in record.parts] or [""]

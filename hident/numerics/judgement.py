@@ -45,6 +45,7 @@ def judgement(
     by: Literal["simulation", "prediction"] = "simulation",
     level: float = LEVEL,
     fitted: int = 0,
+    scale: float = 0.0,
 ) -> Residuals:
     """What the residuals of a model say of it.
 
@@ -61,6 +62,8 @@ def judgement(
         The chance with which each test blames a model that is right.
     fitted : int
         The number of parameters of the noise model, if there is one.
+    scale : float
+        How far the output is from its mean elsewhere, if these are samples in which it may stand still.
 
     Raises
     ------
@@ -84,7 +87,8 @@ linearly on u: the static nonlinearity, its place among the blocks or its memory
         raise EstimationError(f"{wrong} of {len(e)} residuals are not finite")
     parts = whole(len(e)) if experiments is None else experiments
     count_of_lags(parts)
-    return Residuals(np.asarray(u, dtype=float), e, np.asarray(y_hat, dtype=float), parts, by, level, fitted)
+    u, y_hat = np.asarray(u, dtype=float), np.asarray(y_hat, dtype=float)
+    return Residuals(u, e, y_hat, parts, by, level, fitted, scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,12 +105,14 @@ class Residuals:
     by: Literal["simulation", "prediction"] = "simulation"
     level: float = LEVEL
     fitted: int = 0
+    scale: float = 0.0
 
     @cached_property
     def vanish(self) -> bool:
         """Whether they are no more than rounding, of which no test says anything."""
         y = self.y_hat + self.e
-        return bool(np.max(np.abs(self.e)) <= _VANISHING * np.max(np.abs(y - np.mean(y))))
+        scale = max(self.scale, float(np.max(np.abs(y - np.mean(y)))))
+        return bool(np.max(np.abs(self.e)) <= _VANISHING * scale)
 
     @cached_property
     def innovations(self) -> Innovations:

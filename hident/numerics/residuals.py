@@ -110,12 +110,18 @@ def whiteness(e: Array, parts: Parts | None = None, *, level: float = 0.01, fitt
 
     parts = parts or whole(len(e))
     e, lags = e - np.mean(e), np.arange(1, count_of_lags(parts) + 1, dtype=np.int64)
-    values = np.array([_product(e, e, k, parts) for k in lags.tolist()]) / float(e @ e)
+    _require_power(power := float(e @ e))
+    values = np.array([_product(e, e, k, parts) for k in lags.tolist()]) / power
     pairs = np.array([sum(max(part.stop - part.start - k, 0) for part in parts) for k in lags])
     statistic = len(e) * (len(e) + 2) * float(np.sum(values**2 / pairs))
     p_value = float(chdtrc(max(len(lags) - fitted, 1), statistic))
     band = _reach(level) * np.sqrt(pairs) / len(e)
     return Correlations("residuals", lags, values, band, Tested(statistic, p_value))
+
+
+def _require_power(power: float) -> None:
+    if not power > 0.0:
+        raise EstimationError("residuals that are constant, or a line in time, are no noise to judge by")
 
 
 def _product(e: Array, x: Array, k: int, parts: Parts) -> float:
@@ -152,7 +158,10 @@ class Innovations:
         parts = parts or whole(len(e))
         order = min(_MOST_ORDER, count_of_lags(parts)) if highest is None else highest
         models = burg(e - np.mean(e), order, parts)
-        criterion = [len(e) * np.log(model.variance) + 2.0 * p for p, model in enumerate(models)]
+        _require_power(models[0].variance)
+        with np.errstate(divide="ignore"):
+            # What is predicted exactly has the logarithm -inf, and is no model of noise.
+            criterion = [len(e) * np.log(model.variance) + 2.0 * p for p, model in enumerate(models)]
         chosen = models[first_least(criterion, scale=float(len(e)))]
         return cls(chosen.a, chosen.variance, parts)
 

@@ -20,6 +20,8 @@ from hident.static_functions import Basis, Chebyshev, StaticFunction
 
 # How far beyond the signal that was met a basis reaches, relative to its range.
 _MARGIN = 0.02
+# A signal that moves by less than this part of its size does not move.
+_ROUNDING = 1e-13
 # The degree of the polynomials in place of functions of more coefficients, while a start is sought.
 _SMOOTH = 3
 
@@ -188,7 +190,10 @@ Functions = Mapping[int, "StaticFunction | None"]
 def fitted(kind: StaticKind, x: Array, function: object, data: Data) -> StaticFunction:
     """The function of this kind that is nearest to another on a signal x (N,); to the identity if None."""
     low, high = float(np.min(x[data.counted])), float(np.max(x[data.counted]))
-    margin = _MARGIN * (high - low) or 1.0
+    margin, size = _MARGIN * (high - low), max(abs(low), abs(high))
+    if high - low <= _ROUNDING * size:
+        # Knots between ends that rounding alone tells apart would coincide.
+        margin = max(1.0, _MARGIN * size)
     basis = kind.basis_for(x[data.counted], low - margin, high + margin)
     rows = basis.rows(x)
     if wrong := len(x) - int(np.count_nonzero(np.all(np.isfinite(rows), axis=0))):

@@ -131,7 +131,8 @@ def _correlations(axes: Axes, title: str, shown: Sequence[Correlations], x_label
     low, high = axes.get_ylim()
     # Room for the legend above.
     axes.set_ylim(low, high + 0.25 * (high - low))
-    axes.legend(loc="upper right", ncols=len(shown))
+    if shown:
+        axes.legend(loc="upper right", ncols=len(shown))
 
 
 def _quantiles(axes: Axes, found: Residuals) -> None:
