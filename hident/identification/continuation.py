@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from hident.block_chain import BlockChain
 from hident.errors import EstimationError
-from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain
+from hident.estimators.prediction_error.chain_fit import ChainFit
 from hident.estimators.prediction_error.criterion import Data, Point, point_at
 from hident.estimators.prediction_error.descent import descend
-from hident.estimators.prediction_error.parameters import LinearStructure, Parameters
+from hident.estimators.prediction_error.parameters import Parameters
 from hident.estimators.prediction_error.structure import ChainStructure
-from hident.linear_blocks import TransferFunction
 from hident.static_functions import StaticFunction
 
 # So few samples may lie where a static function is the line beyond its range.
@@ -49,51 +46,6 @@ def resumed(
     if begun is None or _leaves_ranges(begun):
         return continued(structure, parameters.chain, data, max_iterations)
     return _descended(begun, max_iterations, _LITTLE_DAMPING)
-
-
-def no_worse_than_shorter(
-    found: ChainFit, structure: ChainStructure, data: Data, max_iterations: int = 100
-) -> ChainFit:
-    """The fit of L-N-L, or a better one that the shorter chains in it lead to.
-
-    The poles and zeros that a search splits between the blocks are those of a linear approximation, which
-    knows little of them where the static function is far from a line. A chain can be no worse than L-N and
-    N-L with its blocks, whose searches need not split: it goes on from these too, with a delay or nothing as
-    the other linear block.
-    """
-    first, static, last = structure.blocks
-    assert isinstance(first, LinearStructure)
-    assert isinstance(last, LinearStructure)
-    delay = first.nk + last.nk
-    best, others = found, 0
-    for shorter in ((replace(first, nk=delay), static), (static, replace(last, nk=delay))):
-        try:
-            chain = fit_chain(
-                ChainStructure(shorter), data, max_iterations=max_iterations
-            ).point.parameters.chain
-            longer = _lengthened(chain, first.nk, last.nk)
-            again = continued(structure, longer, data, max_iterations)
-        except (EstimationError, np.linalg.LinAlgError):
-            continue
-        others += 1
-        if again.point.loss < best.point.loss:
-            best = again
-    starts, finalists = found.starts + others, found.finalists + others
-    agreeing = found.agreeing if best is found else 1
-    return replace(best, starts=starts, finalists=finalists, agreeing=agreeing)
-
-
-def _lengthened(chain: BlockChain, first: int, last: int) -> BlockChain:
-    """L-N or N-L with a delay of ``first`` or ``last`` samples, which L had, as a third block."""
-    one, other = chain.blocks
-    if isinstance(one, TransferFunction):
-        return BlockChain((replace(one, b=one.b[last:]), other, _delay(last)))
-    assert isinstance(other, TransferFunction)
-    return BlockChain((_delay(first), one, replace(other, b=other.b[first:])))
-
-
-def _delay(samples: int) -> TransferFunction:
-    return TransferFunction((*(0.0,) * samples, 1.0))
 
 
 def _leaves_ranges(point: Point) -> bool:

@@ -18,8 +18,9 @@ from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain, fi
 from hident.estimators.prediction_error.criterion import Data
 from hident.estimators.prediction_error.parameters import Parameters
 from hident.estimators.prediction_error.prediction_error import PredictionError
+from hident.estimators.prediction_error.starts import ALL, DEFAULT
 from hident.identification.candidates import STRUCTURES, Functions, Orders, chain, orders_of
-from hident.identification.continuation import continued, no_worse_than_shorter, resumed
+from hident.identification.continuation import continued, resumed
 from hident.identification.split import Split, split
 from hident.measurements.delay import Delay, delay_of
 from hident.numerics.choices import first_least, standard_error, within_one_standard_error
@@ -435,17 +436,15 @@ class _Search:
     def _fitted(self, structure: str, spec: PredictionError, data: Data, most_starts: int = 8) -> Trial:
         """A chain fitted to data from starts of its own."""
         try:
-            wanted = spec.structure()
+            is_hard = structure == "wiener_hammerstein" and self.is_far_from_linear
             fit = fit_chain(
-                wanted,
+                spec.structure(),
                 replace(data, n_init=self.n_init) if self.parts.finds_states else data,
                 most_starts=most_starts,
                 max_iterations=_ORDER_ITERATIONS,
                 states=self.parts.finds_states,
+                initialisation=ALL if is_hard else DEFAULT,
             )
-            is_hard = structure == "wiener_hammerstein" and self.is_far_from_linear
-            if is_hard and not self.parts.finds_states:
-                fit = no_worse_than_shorter(fit, wanted, data, _ORDER_ITERATIONS)
             return self._judged(structure, spec, fit)
         except (EstimationError, np.linalg.LinAlgError) as error:
             return self._told(Trial(structure, spec, reason=str(error)))

@@ -13,9 +13,10 @@ import hident as hi
 from hident.errors import EstimationError
 from hident.estimators.prediction_error.chain_fit import fit_chain
 from hident.estimators.prediction_error.criterion import Data
+from hident.estimators.prediction_error.starts import ALL
 from hident.identification.bootstrap import bootstrap
 from hident.identification.candidates import STRUCTURES, Functions, Orders, chain, orders_of
-from hident.identification.continuation import continued, no_worse_than_shorter, resumed
+from hident.identification.continuation import continued, resumed
 from hident.identification.identify import Trial, identify, near_the_best, preferred, simplest
 from hident.identification.split import quiet_beginning, split
 from hident.linear_blocks import TransferFunction
@@ -300,7 +301,7 @@ def test_behind_a_function_that_is_far_from_a_line_both_linear_blocks_are_found(
         u, y = drive(function, seed)
         data = Data(u, y, (slice(0, len(u)),), "rest")
         found = fit_chain(structure, data, max_iterations=25)
-        better = no_worse_than_shorter(found, structure, data, 25)
+        better = fit_chain(structure, data, max_iterations=25, initialisation=ALL)
         alone.append(found.point.loss / data.count)
         left.append(better.point.loss / data.count)
     assert max(alone) > 0.02
@@ -314,7 +315,7 @@ def test_a_shorter_chain_is_the_same_with_its_delay_between_two_blocks(first, la
     data = Data(u, np.r_[np.zeros(first + last), y[: len(y) - first - last]], (slice(0, len(u)),), "rest")
     blocks = [Orders(4, 3, first), Orders(1, 1, last)]
     structure = chain("wiener_hammerstein", blocks, [{"kind": "polynomial", "degree": 2}]).structure()
-    found = no_worse_than_shorter(fit_chain(structure, data, max_iterations=25), structure, data)
+    found = fit_chain(structure, data, max_iterations=25, initialisation=ALL)
     assert found.point.loss / data.count < 0.0115
     assert found.agreeing <= found.finalists
 

@@ -512,6 +512,22 @@ class TestSearch:
         with pytest.raises(EstimationError, match="no start could be made"):
             hi.fit(spec, noisy("NL"))
 
+    @pytest.mark.parametrize("held", [False, True])
+    def test_starts_of_fewer_blocks_are_for_two_linear_blocks_that_are_sought(self, held):
+        u = gaussian(600, 0)
+        record = hi.Record(u, self.SECOND.filter(np.abs(self.FIRST.filter(u))))
+        first = hi.LinearBlock(nb=3, nf=2, start=hi.Arma(b=[1.0], a=[0.5]), held=held)
+        blocks = [
+            first if held else hi.LinearBlock(nb=3, nf=2),
+            hi.CubicSplineBlock(knots=6),
+            hi.LinearBlock(nb=3, nf=2),
+        ]
+        spec = hi.PredictionError(blocks=blocks, max_iterations=5)
+        asked = spec.model_copy(update={"initialisation": (*spec.initialisation, "fewer_linear_blocks")})
+        alone, more = (hi.fit(one, record).values for one in (spec, asked))
+        assert more["finalists"] == alone["finalists"] + (0 if held else 2)
+        assert more["mse"] <= alone["mse"]
+
     def test_an_even_function_between_linear_blocks(self):
         u = gaussian(2000, 0)
         y = self.SECOND.filter(np.abs(self.FIRST.filter(u)))

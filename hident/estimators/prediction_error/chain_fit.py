@@ -7,14 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hident.block_chain import BlockChain
 from hident.errors import EstimationError
 from hident.estimators.base import unknown_past
 from hident.estimators.prediction_error.criterion import Data, Point, least_squares, point_at
 from hident.estimators.prediction_error.descent import Descent, Status, descend
 from hident.estimators.prediction_error.excitation import require_excitation
+from hident.estimators.prediction_error.fewer_blocks import of_fewer_blocks
 from hident.estimators.prediction_error.linear_start import stabilised
 from hident.estimators.prediction_error.parameters import LinearStructure, Parameters
-from hident.estimators.prediction_error.starts import ALL, Initialisation, exchanged, starts
+from hident.estimators.prediction_error.starts import DEFAULT, Initialisation, exchanged, starts
 from hident.estimators.prediction_error.structure import ChainStructure
 from hident.fitted_model import NoiseModel
 from hident.initial_states import initial_states
@@ -62,7 +64,7 @@ def fit_chain(
     most_starts: int = 8,
     max_iterations: int = 100,
     states: bool = False,
-    initialisation: Collection[Initialisation] = ALL,
+    initialisation: Collection[Initialisation] = DEFAULT,
 ) -> ChainFit:
     """Fit a chain to data, then the ``states`` at the first samples and the noise with it, if asked for.
 
@@ -99,6 +101,9 @@ def fit_chain(
             others = _smooth_starts(structure, smooth, points, first)[:1]
         if others:
             second_heat += _heat(structure, [one.parameters for one in others], second, most)
+        second_heat.sort(key=lambda one: one.point.loss)
+    if "fewer_linear_blocks" in initialisation:
+        second_heat += [descend(one, most) for one in _of_fewer_blocks(structure, second, most)]
         second_heat.sort(key=lambda one: one.point.loss)
     evaluations += sum(one.evaluations for one in second_heat)
     best, agreeing = second_heat[0], _agreeing(second_heat)
@@ -165,7 +170,7 @@ def _agreeing(found: Sequence[Descent]) -> int:
 
 
 def all_starts(
-    structure: ChainStructure, first: Data, data: Data, initialisation: Collection[Initialisation] = ALL
+    structure: ChainStructure, first: Data, data: Data, initialisation: Collection[Initialisation] = DEFAULT
 ) -> list[Point]:
     """The starts of a chain, scored on the first heat's data; of several static blocks by shorter chains."""
     free = structure.free_static
@@ -177,6 +182,15 @@ def all_starts(
         found += _nested(structure, first, data)
     scored = [point_at(first, one.parameters) for one in found]
     return sorted((one for one in scored if one is not None), key=lambda one: one.loss)
+
+
+def _of_fewer_blocks(structure: ChainStructure, data: Data, most: int) -> list[Point]:
+    """Of L-N-L, the fits of L-N and N-L."""
+
+    def fit(shorter: ChainStructure, data: Data) -> BlockChain:
+        return fit_chain(shorter, data, max_iterations=most).point.parameters.chain
+
+    return [*of_fewer_blocks(structure, data, fit)]
 
 
 def _nested(structure: ChainStructure, first: Data, data: Data) -> list[Point]:

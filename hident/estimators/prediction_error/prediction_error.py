@@ -26,7 +26,7 @@ from hident.estimators.prediction_error.chain_fit import ChainFit, fit_chain
 from hident.estimators.prediction_error.criterion import Data
 from hident.estimators.prediction_error.parameters import LinearStructure, Parameters
 from hident.estimators.prediction_error.standard_errors import names, normal_form, standard_errors, values
-from hident.estimators.prediction_error.starts import ALL, Initialisation
+from hident.estimators.prediction_error.starts import DEFAULT, Initialisation
 from hident.estimators.prediction_error.structure import ChainStructure
 from hident.fitted_model import Begun, FittedModel, NoiseModel, digest
 from hident.records import Estimate, Record
@@ -85,8 +85,9 @@ class PredictionError(AtOneInterval):
     """First samples of each experiment that are simulated but not fitted."""
     starts: Annotated[Count, Field(ge=1, le=1000)] = 8
     """Most starts that are raced."""
-    initialisation: Annotated[tuple[Initialisation, ...], Field(min_length=1)] = ALL
-    """The methods that make the starts, of which those count that suit the structure; all by default."""
+    initialisation: Annotated[tuple[Initialisation, ...], Field(min_length=1)] = DEFAULT
+    """The methods that make the starts, of which those count that suit the structure; ``fewer_linear_blocks``
+    (for L-N-L, from the fits of L-N and N-L) is one to ask for where linear models explain little."""
     max_iterations: Annotated[Count, Field(ge=1)] = 100
     """Most iterations of the last descent."""
 

@@ -8,6 +8,8 @@
 - For a static block behind the first linear block, the leading eigenvector of the second-order Volterra
   kernel, which an even function has where the best linear approximation is nothing.
 - For several static blocks, the fits of the chain without one of them.
+- For a static block between two linear ones, the fits of the chain without one of these: see
+  :mod:`hident.estimators.prediction_error.fewer_blocks`.
 """
 
 from __future__ import annotations
@@ -40,13 +42,17 @@ _FEW_ROOTS = 4
 _KERNEL_LAGS, _KERNEL_SAMPLES = 20, 10000
 
 
-Initialisation = Literal["linear_approximation", "over_parameterised", "volterra_kernel", "shorter_chains"]
+Initialisation = Literal[
+    "linear_approximation", "over_parameterised", "volterra_kernel", "shorter_chains", "fewer_linear_blocks"
+]
 """One of the methods above."""
 ALL: tuple[Initialisation, ...] = get_args(Initialisation)
+DEFAULT: tuple[Initialisation, ...] = ALL[:-1]
+"""All but the last, which takes as long as the others together, and longer."""
 
 
 def starts(
-    structure: ChainStructure, data: Data, initialisation: Collection[Initialisation] = ALL
+    structure: ChainStructure, data: Data, initialisation: Collection[Initialisation] = DEFAULT
 ) -> list[Point]:
     """The starts of a chain with at most one static block to be found, the best first."""
     few = data.first(_SCORED)
