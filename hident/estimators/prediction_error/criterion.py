@@ -183,7 +183,7 @@ class Point:
     @property
     def theta(self) -> Array:
         """What is found by steps: the chain's numbers, then d, then c."""
-        return np.concatenate((self.parameters.theta(), self.noise.ar, self.noise.ma))
+        return np.concatenate((self.parameters.theta, self.noise.ar, self.noise.ma))
 
     def rows(self) -> Array:
         """The derivatives of the prediction by theta, then by the coefficients that are solved for.
@@ -191,7 +191,7 @@ class Point:
         Of shape (P + K, M) with M samples that count.
         """
         data, parameters = self.data, self.parameters
-        count, solved = len(parameters.theta()), len(self.projected_rows)
+        count, solved = len(parameters.theta), len(self.projected_rows)
         orders = len(self.noise.ar) + len(self.noise.ma)
         rows = np.empty((count + orders + solved, len(data.u)))
         filled = 0
@@ -252,7 +252,7 @@ class Point:
         return None if split is None else point_at(self.data, *split)
 
     def _split(self, theta: Array) -> tuple[Parameters, NoiseModel] | None:
-        count, orders = len(self.parameters.theta()), len(self.noise.ar)
+        count, orders = len(self.parameters.theta), len(self.noise.ar)
         ar, ma = np.split(theta[count:], [orders])
         noise = replace(self.noise, ar=tuple(ar.tolist()), ma=tuple(ma.tolist()))
         try:

@@ -157,6 +157,7 @@ class Parameters:
             return len(structure.basis.shape)
         return structure.size
 
+    @cached_property
     def theta(self) -> Array:
         """The numbers found by steps, as they stand in the chain."""
         pieces = [np.zeros(0)]

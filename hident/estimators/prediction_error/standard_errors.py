@@ -121,7 +121,7 @@ def _order(point: Point) -> tuple[list[int], list[int]]:
     The noise's are left out.
     """
     parameters = point.parameters
-    stepped = len(parameters.theta())
+    stepped = len(parameters.theta)
     behind = stepped + len(point.noise.ar) + len(point.noise.ma)
     found: list[int] = []
     for i in parameters.free:
