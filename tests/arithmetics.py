@@ -8,6 +8,7 @@ and names of configurations, it writes the table in docs/reproducibility.md; res
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import os
 import platform
@@ -21,7 +22,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from hident import arithmetic
-from hident.engine.run_files import RUN, TRIALS
+from hident.engine.run_files import RUN, SENSITIVITY, TRIALS
 from hident.errors import HidentError
 from hident.ledger.compare import Comparison, compare
 from hident.ledger.sensitivity import RTOL
@@ -32,6 +33,8 @@ from hident.run_folder import RunFolder
 ROOT = Path(__file__).parents[1]
 DOCUMENT = ROOT / "docs" / "reproducibility.md"
 BEGIN, END = "<!-- arithmetics: begin -->", "<!-- arithmetics: end -->"
+LAST_BITS = ("<!-- last bits: begin -->", "<!-- last bits: end -->")
+"""The marks around :func:`last_bits`."""
 # Together they hold every kind of estimator that a configuration holds, at the least cost.
 CHECKED = (
     "brouri_bla",
@@ -201,7 +204,21 @@ def _processor() -> str:
     return next(named, platform.processor() or platform.machine())
 
 
-def inserted(document: str, text: str) -> str:
+def last_bits(results: Path) -> str:
+    """What records that are a last bit away moved when each configuration was accepted."""
+    counts = {}
+    for path in sorted(results.glob(f"*/{SENSITIVITY}")):
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = [*csv.DictReader(file)]
+        counts[path.parent.name] = [sum(int(row[name]) for row in rows) for name in ("perturbed", "moved")]
+    still = [perturbed for perturbed, moved in counts.values() if not moved]
+    lines = ["| configuration | estimates | moved |", "| --- | ---: | ---: |"]
+    lines += [f"| `{name}` | {every} | {moved} |" for name, (every, moved) in counts.items() if moved]
+    lines.append(f"| {len(still)} others | {sum(still)} | 0 |")
+    return "\n".join(lines)
+
+
+def inserted(document: str, text: str, marks: tuple[str, str] = (BEGIN, END)) -> str:
     """The document with the text between its two marks.
 
     Raises
@@ -209,10 +226,10 @@ def inserted(document: str, text: str) -> str:
     ValueError
         If a mark is missing.
     """
-    before, begin, rest = document.partition(BEGIN)
-    _, end, after = rest.partition(END)
+    before, begin, rest = document.partition(marks[0])
+    _, end, after = rest.partition(marks[1])
     if not (begin and end):
-        raise ValueError(f"{DOCUMENT} has no {BEGIN} followed by {END}")
+        raise ValueError(f"{DOCUMENT} has no {marks[0]} followed by {marks[1]}")
     return f"{before}{begin}\n\n{text}\n\n{end}{after}"
 
 
@@ -224,6 +241,7 @@ def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--trials", type=int, default=20, help="trials of each (default: 20)")
     parser.add_argument("--jobs", type=int, help="worker processes")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep what is computed, and resume")
+    parser.add_argument("--last-bits", action="store_true", help="write the table of results/ alone")
     parser.add_argument("--results", type=Path, default=ROOT / "results", help="the accepted results")
     given = parser.parse_args(arguments)
     known = sorted(path.stem for path in (ROOT / "configs").glob("*.yaml"))
@@ -239,6 +257,10 @@ def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run, compare, print and (if everything was asked for) write; 1 if more moved than may."""
     given = _arguments(arguments)
+    if given.last_bits:
+        document = inserted(DOCUMENT.read_text(encoding="utf-8"), last_bits(given.results), LAST_BITS)
+        DOCUMENT.write_text(document, encoding="utf-8", newline="\n")
+        return 0
     missing: dict[str, str] = {}
     table: dict[str, dict[str, Outcome]] = {config: {} for config in given.configs}
     place = nullcontext(given.keep) if given.keep else tempfile.TemporaryDirectory()

@@ -12,7 +12,19 @@ from hident.config.spec import Spec
 from hident.engine.experiment import load
 from hident.errors import RecordAbsent
 from hident.estimators.base import EstimatorSpec
-from tests.arithmetics import BEGIN, CHECKED, DOCUMENT, END, ROOT, Outcome, inserted, main, markdown
+from tests.arithmetics import (
+    BEGIN,
+    CHECKED,
+    DOCUMENT,
+    END,
+    LAST_BITS,
+    ROOT,
+    Outcome,
+    inserted,
+    last_bits,
+    main,
+    markdown,
+)
 
 
 def _kinds_in(value: Any) -> Iterator[str]:
@@ -68,6 +80,12 @@ def test_the_table_takes_the_place_between_its_marks() -> None:
 def test_the_document_has_the_marks() -> None:
     document = DOCUMENT.read_text(encoding="utf-8")
     assert "new" in inserted(document, "new")
+
+
+def test_the_document_says_what_the_accepted_results_say_of_last_bits() -> None:
+    document = DOCUMENT.read_text(encoding="utf-8")
+    # If not: python -m tests.arithmetics --last-bits
+    assert inserted(document, last_bits(ROOT / "results"), LAST_BITS) == document
 
 
 def test_a_name_that_no_configuration_has_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
