@@ -39,6 +39,7 @@ BENCHMARKS = "bench.md"
 SHOWN = "trial-"
 """How the folders begin, in that of a run, of what `hident show` writes of one trial."""
 _DRAWN = ".data.csv.xz"
+_VECTOR = ".svg.xz"
 _LONGEST = 100
 # The numbers of Windows' devices may be superscripts.
 _DEVICES = re.compile(r"con|prn|aux|nul|(?:com|lpt)[0-9¹²³]")
@@ -69,6 +70,21 @@ def is_drawn(file: str) -> bool:
     return file.endswith(_DRAWN)
 
 
+def vector_file(name: str) -> str:
+    """The file of a figure as a drawing, which is sharp at any size: every run packs one for its page."""
+    return f"{name}{_VECTOR}"
+
+
+def is_vector(file: str) -> bool:
+    """Whether a file holds the packed drawing of a figure."""
+    return file.endswith(_VECTOR)
+
+
+def unpacked(file: str) -> str:
+    """The name of a file of a run as its page has it: what stands beside a picture is not packed there."""
+    return file.removesuffix(".xz") if is_drawn(file) or is_vector(file) else file
+
+
 def figure_formats(formats: Sequence[Format]) -> tuple[Format, ...]:
     """The formats of figures among those of an experiment; the default where only tables have one."""
     return tuple(kind for kind in formats if kind != TEX) or (DEFAULT_FORMAT,)
@@ -88,7 +104,10 @@ def misnamed(tables: Iterable[str], figures: Iterable[str]) -> Iterator[tuple[st
     writers = {**dict.fromkeys(reversed(OWN), "a run"), SENSITIVITY: "accept"}
     kept = {file.partition(".")[0]: f"{file}, which {writer}" for file, writer in writers.items()}
     taken = dict.fromkeys(OWN, "a file of every run")
-    sections = (("tables", tables, [table_file]), ("figures", figures, [figure_file, drawn_file]))
+    sections = (
+        ("tables", tables, [table_file]),
+        ("figures", figures, [figure_file, drawn_file, vector_file]),
+    )
     for section, names, files_of in sections:
         for name in names:
             folded = name.casefold()

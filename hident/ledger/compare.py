@@ -9,8 +9,8 @@ relative tolerance.
 The cells of table.csv must be the statistics of the trials beside them. The other files are compared by their
 contents (:mod:`hident.ledger.contents`), but those in a format that one side was not asked for; where some
 trials took another branch and may, what these files differ in is listed and not counted. The numbers that a
-figure draws are compared between equal arithmetics, if both sides have those of any figure; else its picture
-is. Every file must be what was written, by the hashes in its run.json.
+figure draws, and its packed drawing, are compared between equal arithmetics, if both sides have those of any
+figure; else its picture is. Every file must be what was written, by the hashes in its run.json.
 Hidden files, ``*.tmp``, timing.csv, what `hident show` wrote of a trial, and the provenance in ``run.json``
 do not count.
 """
@@ -35,6 +35,7 @@ from hident.engine.run_files import (
     TRIALS,
     in_format,
     is_drawn,
+    is_vector,
 )
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.ledger.contents import Row, content_differences, decode_table
@@ -274,8 +275,11 @@ class _Pair:
             if name in folder.files() and in_format(name) not in (None, *other.formats())
         }
         names = (mine | theirs) - of_one - {SENSITIVITY}
-        if not (self._same_arithmetic and all(any(map(is_drawn, folder.files())) for _, folder in sides)):
-            names -= {name for files, folder in sides for name in files & {*folder.files()} if is_drawn(name)}
+        for is_one in (is_drawn, is_vector):
+            if not (self._same_arithmetic and all(any(map(is_one, folder.files())) for _, folder in sides)):
+                names -= {
+                    name for files, folder in sides for name in files & {*folder.files()} if is_one(name)
+                }
         drawn = {name.rpartition(".")[0] for name in names if in_format(name) not in (None, TEX)}
         figures = {name.rpartition(".")[0] for name in of_one if in_format(name) != TEX}
         return names, sorted(figures - drawn)

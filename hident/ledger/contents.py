@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from hident.arrays import Array
-from hident.engine.run_files import in_format, is_drawn
+from hident.engine.run_files import in_format, is_drawn, is_vector
 from hident.ledger.drawings import Drawing, decode_pdf, decode_svg, drawings_differ
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
@@ -46,7 +46,7 @@ def content_differences(ours: Path, reference: Path, rtol: float) -> Iterator[st
         return
     if data[0] == data[1]:
         return
-    decode, differences = _DRAWN if is_drawn(ours.name) else _KINDS.get(ours.suffix, _OTHER)
+    decode, differences = _kind(ours)
     decoded = []
     for content, whose in zip(data, ("", "the reference "), strict=True):
         try:
@@ -56,6 +56,12 @@ def content_differences(ours: Path, reference: Path, rtol: float) -> Iterator[st
     if len(decoded) == 2:
         mine, theirs = decoded
         yield from differences(mine, theirs, rtol)
+
+
+def _kind(file: Path) -> _Kind:
+    if is_drawn(file.name):
+        return _DRAWN
+    return _VECTOR if is_vector(file.name) else _KINDS.get(file.suffix, _OTHER)
 
 
 def _difference(ours: str, reference: str, rtol: float) -> str | None:
@@ -189,7 +195,7 @@ def _decode_json(data: bytes) -> dict[str, str]:
 
 def _is_optional(name: str) -> bool:
     """Whether a run writes the file only if it is asked to, or since some version."""
-    return in_format(name) is not None or is_drawn(name)
+    return in_format(name) is not None or is_drawn(name) or is_vector(name)
 
 
 def _leaves(value: object, path: str) -> Iterator[tuple[str, str]]:
@@ -267,4 +273,5 @@ _KINDS: dict[str, _Kind] = {
     ".svg": (decode_svg, _drawings),
 }
 _DRAWN: _Kind = (lambda data: decode_table(lzma.decompress(data)), _tables)
+_VECTOR: _Kind = (lambda data: decode_svg(lzma.decompress(data)), _drawings)
 _OTHER: _Kind = (bytes, _bytes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import lzma
 import math
 import platform
 import subprocess
@@ -41,6 +42,7 @@ from hident.engine.run_files import (
     figure_formats,
     table_file,
     tex_file,
+    vector_file,
 )
 from hident.engine.trial import digest
 from hident.errors import TrialFailed
@@ -122,7 +124,7 @@ class Outputs:
             with phase(seconds, "figures"):
                 undrawn = _write_figures(results, verdicts, new.path)
             drawn = [name for name in plan.experiment.figures if name not in undrawn]
-            files += [*self._figure_files(drawn), *map(drawn_file, drawn)]
+            files += [*self._figure_files(drawn), *map(drawn_file, drawn), *map(vector_file, drawn)]
             new.seal(
                 {
                     "experiment": {**_described(plan), **_stopped(results)},
@@ -398,14 +400,20 @@ def _write_figures(results: Results, verdicts: Sequence[Verdict], folder: Path) 
                 figure = spec.drawn(results, verdicts)
                 (folder / drawn_file(name)).write_bytes(drawing.encoded(figure))
                 typeset(figure)
-                for kind, content in printed(figure, kinds).items():
-                    (folder / figure_file(name, kind)).write_bytes(content)
+                files = printed(figure, dict.fromkeys([*kinds, "svg"]))
+                for kind in kinds:
+                    (folder / figure_file(name, kind)).write_bytes(files[kind])
+                (folder / vector_file(name)).write_bytes(lzma.compress(files["svg"]))
             except OSError:
                 raise
             except Exception as error:
                 undrawn[name] = error
                 # What was begun of it.
-                for file in (drawn_file(name), *(figure_file(name, kind) for kind in kinds)):
+                for file in (
+                    drawn_file(name),
+                    vector_file(name),
+                    *(figure_file(name, kind) for kind in kinds),
+                ):
                     (folder / file).unlink(missing_ok=True)
     return undrawn
 

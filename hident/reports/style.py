@@ -40,6 +40,8 @@ PRINTED: Look = {"linestyle": "none", "markerfacecolor": "none", "markeredgewidt
 """Of a printed number: an open marker, of ours beside it larger, in the colour and shape of a line."""
 DATA: Look = {"color": "0.62", "marker": ".", "linestyle": "none", "markersize": 3, "zorder": 1}
 
+PIXELS = 160
+"""Of a PNG, in an inch."""
 _PRINT_DPI = 300
 _METADATA: dict[str, tuple[str, ...]] = {
     "png": ("Software",),
@@ -67,8 +69,8 @@ _SETTINGS: dict[str, Any] = {
     "lines.markersize": 4,
     "legend.frameon": False,
     "figure.constrained_layout.use": True,
-    "figure.dpi": 160,
-    "savefig.dpi": 160,
+    "figure.dpi": PIXELS,
+    "savefig.dpi": PIXELS,
     # Letters as they are in a PDF, which a journal may edit; as outlines in an SVG, which names fonts only.
     "pdf.fonttype": 42,
     "svg.fonttype": "path",

@@ -389,7 +389,17 @@ def test_a_figure_opens_large_and_closes(page: Page, site: Path) -> None:
     dialog = page.locator("dialog")
     page.locator("a.zoom").first.click()
     dialog.wait_for()
-    assert page.evaluate("document.querySelector('dialog img').naturalWidth") > 400
+    width = "document.querySelector('dialog img').getBoundingClientRect().width"
+    whole = page.evaluate(width)
+    assert whole == 1400
+    assert dialog.get_by_role("button", name="Smaller").is_disabled()
+    dialog.get_by_role("button", name="Larger").click()
+    page.keyboard.press("+")
+    assert page.evaluate(width) == pytest.approx(4 * whole, rel=0.05)
+    page.keyboard.press("-")
+    dialog.locator("img").click(position={"x": 300, "y": 300})
+    assert page.evaluate(width) == pytest.approx(4 * whole, rel=0.05)
+    dialog.get_by_role("button", name="Smaller").click()
     page.keyboard.press("Escape")
     assert not dialog.is_visible()
     page.locator("a.zoom").nth(1).focus()

@@ -154,10 +154,10 @@ def test_a_run_writes_what_its_figures_draw(tmp_path):
     assert RunFolder(out).altered() == []
 
 
-def forget_drawn(folder):
-    """Make the files those of a version that wrote none of what figures draw."""
-    (folder / "f.data.csv.xz").unlink()
-    reseal(folder, lambda run: run["files"].remove("f.data.csv.xz"))
+def forget(folder, file):
+    """Make the files those of a version that wrote none of this kind."""
+    (folder / file).unlink()
+    reseal(folder, lambda run: run["files"].remove(file))
 
 
 def reseal(folder, change):
@@ -175,10 +175,11 @@ def change_drawn(folder):
     reseal(folder, lambda run: None)
 
 
+@pytest.mark.parametrize("file", ["f.data.csv.xz", "f.svg.xz"])
 @pytest.mark.parametrize("older", ["out", "accepted"])
-def test_results_of_a_version_that_wrote_none_do_not_differ(tmp_path, older):
+def test_results_of_a_version_that_wrote_none_do_not_differ(tmp_path, older, file):
     write(tmp_path), write(tmp_path, out="accepted")
-    forget_drawn(tmp_path / older)
+    forget(tmp_path / older, file)
     assert compare(tmp_path / "out", tmp_path / "accepted").differences == ()
 
 
@@ -200,8 +201,38 @@ def test_between_different_arithmetics_the_picture_is_compared_alone(tmp_path):
     assert any("f.png" in said for said in compare(tmp_path / "out", tmp_path / "accepted").differences)
 
 
-def test_one_that_is_gone_differs(tmp_path):
+@pytest.mark.parametrize("file", ["f.data.csv.xz", "f.svg.xz"])
+def test_one_that_is_gone_differs(tmp_path, file):
     write(tmp_path), write(tmp_path, out="accepted")
-    (tmp_path / "out" / "f.data.csv.xz").unlink()
+    (tmp_path / "out" / file).unlink()
     said = compare(tmp_path / "out", tmp_path / "accepted").differences
-    assert "accepted/f.data.csv.xz: missing" in said
+    assert f"accepted/{file}: missing" in said
+
+
+def change_vector(folder):
+    file = folder / "f.svg.xz"
+    text = lzma.decompress(file.read_bytes())
+    assert b"#1b4f8a" in text
+    file.write_bytes(lzma.compress(text.replace(b"#1b4f8a", b"#1b4f8b")))
+    reseal(folder, lambda run: None)
+
+
+def test_the_packed_drawing_is_that_of_a_run_that_is_asked_for_it(tmp_path):
+    values = {("one", str(n)): [1.0 * n, 2.0 * n] for n in (10, 100, 1000)}
+    results = made(tmp_path, values, rest=f"{CURVE}formats: [svg]\n")
+    assert Outputs(results.plan, tmp_path / "asked").write(results, {}) == ()
+    alone = write(tmp_path)
+    text = lzma.decompress((alone / "f.svg.xz").read_bytes())
+    assert text == (tmp_path / "asked" / "f.svg").read_bytes()
+    # It says neither when nor by what it was made, and names no font.
+    assert not any(word in text for word in (b"<dc:date>", b"<dc:creator>", b"font-family"))
+    assert "f.svg.xz" in RunFolder(alone).files()
+
+
+def test_another_drawing_differs_between_equal_arithmetics_alone(tmp_path):
+    write(tmp_path), write(tmp_path, out="accepted")
+    change_vector(tmp_path / "out")
+    [said] = compare(tmp_path / "out", tmp_path / "accepted").differences
+    assert said.startswith("accepted/f.svg.xz: another drawing: ")
+    reseal(tmp_path / "accepted", lambda run: run["provenance"]["arithmetic"].update(identity="another"))
+    assert compare(tmp_path / "out", tmp_path / "accepted").differences == ()

@@ -28,7 +28,7 @@ def write(folder, formats, gain=1.0, out="out"):
     return {path.name for path in (folder / out).iterdir()} - {"timing.csv"}
 
 
-BASE = {"run.json", "table.csv", "table.md", "trials.csv.xz", "f.data.csv.xz"}
+BASE = {"run.json", "table.csv", "table.md", "trials.csv.xz", "f.data.csv.xz", "f.svg.xz"}
 
 
 @pytest.mark.parametrize(

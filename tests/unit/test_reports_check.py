@@ -113,7 +113,16 @@ def test_a_label_that_is_no_mathematics_is_named_and_withholds_nothing_else(tmp_
     (said,) = outputs.write(results, {})
     assert re.fullmatch(r".*some\.yaml: figures\.f: cannot be drawn \(.*\)", said)
     assert {path.name for path in outputs.folder.iterdir()} == {
-        *("run.json", "table.csv", "table.md", "timing.csv", "trials.csv.xz", "g.png", "g.data.csv.xz")
+        *(
+            "run.json",
+            "table.csv",
+            "table.md",
+            "timing.csv",
+            "trials.csv.xz",
+            "g.png",
+            "g.svg.xz",
+            "g.data.csv.xz",
+        )
     }
     assert outputs.state() == "incomplete"
     repaired = made(tmp_path, {}, rest=_two_figures())

@@ -669,6 +669,28 @@ def test_the_numbers_that_a_figure_draws_stand_beside_it_unpacked(run, tmp_path)
     assert any("mise.data.csv.xz is not as it was written" in fault for fault in broken.faults)
 
 
+def test_the_packed_drawing_of_a_figure_is_shown_and_a_broken_one_is_not(run, tmp_path):
+    text = '<svg width="504pt" height="324pt" viewBox="0 0 504 324" xmlns="http://www.w3.org/2000/svg"/>'
+    (run / "mise.svg.xz").write_bytes(lzma.compress(text.encode()))
+    rewritten(run, lambda content: content["files"].append("mise.svg.xz"))
+    built = build([run], tmp_path / "site", results=RESULTS, **FOLDERS)
+    assert built.faults == ()
+    assert (tmp_path / "site/runs/mzyk_table1/mise.svg").read_text(encoding="utf-8") == text
+    read = pages(tmp_path / "site")
+    assert [link for page, link in dead_links(tmp_path / "site", read) if page.startswith("runs/")] == []
+
+    def shown(read):
+        [one] = [tag for tag in read["runs/mzyk_table1.html"].of("img") if "(mise)" in tag["alt"]]
+        return one["src"], one["width"], one["height"]
+
+    # As large as the PNG of the same figure, of 7 x 4.5 inches.
+    assert shown(read) == ("mzyk_table1/mise.svg", "1120", "720")
+    (run / "mise.svg.xz").write_bytes(b"no xz")
+    broken = build([run], tmp_path / "site", results=RESULTS, **FOLDERS)
+    assert any("mise.svg.xz is not as it was written" in fault for fault in broken.faults)
+    assert shown(pages(tmp_path / "site"))[0] == "mzyk_table1/mise.png"
+
+
 def test_the_picture_of_the_ledger_has_every_table(site):
     text = (site / "ledger.svg").read_text(encoding="utf-8")
     for config, table in {(run, row["table"]) for run in JUDGED for row in rows_of(run) if not row["mark"]}:

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 
 import hident
-from hident.engine.run_files import OWN, POWER, is_drawn
+from hident.engine.run_files import OWN, POWER, unpacked
 from hident.engine.trial import digest
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.new_files import made_folder, replacing
@@ -135,7 +135,7 @@ def _lines(names: Iterable[str]) -> bytes:
 def _content(source: Path) -> bytes:
     try:
         content = source.read_bytes()
-        return lzma.decompress(content) if is_drawn(source.name) else content
+        return content if unpacked(source.name) == source.name else lzma.decompress(content)
     except OSError as error:
         raise StoreError(f"{source} cannot be read: {(error.strerror or str(error)).lower()}") from None
     except lzma.LZMAError:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hident.engine.run_files import PAGE
+from hident.engine.run_files import PAGE, unpacked
 from hident.engine.trial import digest
 from hident.ledger.judged import COUNTED, as_number, key_of
 from hident.ledger.verify import TableState
@@ -249,7 +249,8 @@ def _what(run: Run) -> str:
 
 def _picture_of(run: Run) -> str:
     """A figure of a run that a card can show; empty if there is none."""
-    return next((name for name in run.files if name.endswith(_PICTURES)), "")
+    there = map(unpacked, run.files)
+    return next((name for name in there if name.endswith(_PICTURES)), "")
 
 
 def _first_table(run: Run) -> tables.Shown | None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from hident.engine.run_files import MUTATIONS, NUMBERS, OWN, POWER, RUN, SENSITIVITY, is_drawn
+from hident.engine.run_files import MUTATIONS, NUMBERS, OWN, POWER, RUN, SENSITIVITY, unpacked
 from hident.reports.site.facts import Facts, facts_of
 from hident.reports.site.remarks import Remarks
 from hident.run_folder import RunFolder
@@ -199,19 +199,14 @@ def run_page(name: str) -> str:
 
 
 def run_file(name: str, file: str) -> str:
-    """A file of a run; the numbers that a figure draws stand there unpacked.
+    """A file of a run; the drawing of a figure and the numbers that it draws stand there unpacked.
 
     Examples
     --------
     >>> run_file("valve", "fit.png"), run_file("valve", "fit.data.csv.xz")
     ('runs/valve/fit.png', 'runs/valve/fit.data.csv')
     """
-    return f"runs/{file_name(name)}/{file_name(shown_file(file))}"
-
-
-def shown_file(file: str) -> str:
-    """The name of a file of a run as the site has it."""
-    return file.removesuffix(".xz") if is_drawn(file) else file
+    return f"runs/{file_name(name)}/{file_name(unpacked(file))}"
 
 
 def paper_page(paper: str) -> str:

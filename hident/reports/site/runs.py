@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import lzma
 import math
 import re
 import shlex
@@ -28,6 +29,9 @@ from hident.engine.run_files import (
     VERDICTS,
     drawn_file,
     is_drawn,
+    is_vector,
+    unpacked,
+    vector_file,
 )
 from hident.engine.trial import digest
 from hident.errors import ConfigError
@@ -50,12 +54,13 @@ from hident.reports.site.pages import (
     paper_page,
     run_file,
     run_page,
-    shown_file,
 )
 from hident.reports.site.remarks import Remarks
+from hident.reports.style import PIXELS
 from hident.reports.tables.writing import SIGNS, written
 
 _PICTURES = (".svg", ".png", ".pdf")
+_POINTS = re.compile(rb'<svg [^>]*width="([\d.]+)pt" height="([\d.]+)pt"')
 _MOST_ROWS = 100
 """Rows of alternatives and of failures that a page shows."""
 _SECTIONS = {
@@ -189,6 +194,7 @@ class Figure:
     data: str
     """The file of the numbers that it draws; empty where there is none."""
     size: tuple[int, int] | None
+    """Its width and height on the page."""
     about: str
     kind: str
 
@@ -242,7 +248,10 @@ def _page(
         "commands": list(_commands(run, sources)),
         "name": shlex.quote(sources.named(facts.config)),
         "citations": list(_citations(facts, sources.experiments)),
-        "files": [(shown_file(name), _bytes(run, name), _about(name)) for name in run.files],
+        "files": [
+            (shown, size, _about(shown))
+            for shown, size in {unpacked(name): _bytes(run, name) for name in run.files}.items()
+        ],
     }
     headings = [part for table in content.tables for part in (table.title, *table.header)] if content else []
     kinds = [kind for section in _SECTIONS for kind in facts.kinds(section)]
@@ -310,27 +319,44 @@ def _figures(run: Run) -> Iterator[Figure]:
     """The figures of a run, by the names of its configuration and then by those of its files."""
     asked = run.facts.resolved.get("figures")
     asked = asked if isinstance(asked, Mapping) else {}
-    there = {name.rpartition(".")[0] for name in run.files if name.endswith(_PICTURES)}
+    sound = {unpacked(name) for name in run.files if not _is_broken(run, name)}
+    there = {name.rpartition(".")[0] for name in sound if name.endswith(_PICTURES)}
     known = components("figure")
     for name in dict.fromkeys([*asked, *sorted(there)]):
-        files = tuple(f"{name}{end}" for end in _PICTURES if f"{name}{end}" in run.files)
+        files = tuple(f"{name}{end}" for end in _PICTURES if f"{name}{end}" in sound)
         shown = next((file for file in files if not file.endswith(".pdf")), "")
-        data = shown_file(drawn_file(name)) if drawn_file(name) in run.files else ""
+        data = unpacked(drawn_file(name)) if drawn_file(name) in run.files else ""
         spec = asked.get(name)
         kind = str(spec.get("kind", "")) if isinstance(spec, Mapping) else ""
         about = known[kind].summary() if kind in known else ""
-        size = _size(run.folder.path / shown) if shown.endswith(".png") else None
+        size = _size(run, shown)
         yield Figure(name, shown, files, data, size, about, component_page("figure", kind) if about else "")
 
 
-def _size(file: Path) -> tuple[int, int] | None:
-    """Width and height of a PNG in pixels."""
-    with file.open("rb") as content:
-        head = content.read(24)
-    if len(head) < 24 or not head.startswith(b"\x89PNG"):
+def _is_broken(run: Run, name: str) -> bool:
+    """Whether a packed drawing cannot be unpacked."""
+    return is_vector(name) and _vector(run, name) is None
+
+
+def _vector(run: Run, name: str) -> bytes | None:
+    try:
+        return lzma.decompress((run.folder.path / name).read_bytes())
+    except (OSError, lzma.LZMAError):
         return None
-    width, height = struct.unpack(">II", head[16:24])
-    return int(width), int(height)
+
+
+def _size(run: Run, shown: str) -> tuple[int, int] | None:
+    """Width and height of a picture, as large as the pixels of a PNG are; None if it does not say."""
+    if shown.endswith(".png"):
+        with (run.folder.path / shown).open("rb") as content:
+            head = content.read(24)
+        if len(head) == 24 and head.startswith(b"\x89PNG"):
+            width, height = struct.unpack(">II", head[16:24])
+            return int(width), int(height)
+    packed = vector_file(shown.removesuffix(".svg"))
+    if packed in run.files and (found := _POINTS.search(_vector(run, packed) or b"")):
+        return round(float(found[1]) * PIXELS / 72), round(float(found[2]) * PIXELS / 72)
+    return None
 
 
 def _alternatives(facts: Facts) -> list[dict[str, Any]]:
@@ -440,7 +466,7 @@ def _citations(facts: Facts, experiments: Path) -> Iterator[tuple[str, str]]:
 
 def _bytes(run: Run, name: str) -> int | None:
     """The size of a file; None of one that the site unpacks."""
-    return None if is_drawn(name) else (run.folder.path / name).stat().st_size
+    return None if unpacked(name) != name else (run.folder.path / name).stat().st_size
 
 
 def _about(name: str) -> str:

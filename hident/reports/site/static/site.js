@@ -129,28 +129,40 @@
     }
   }
 
-  // A figure as large as it is: opened by its link, closed by Escape.
+  // A figure in the whole window: opened by its link, larger by a click, buttons or + and -, closed by Escape.
   function addZoom() {
     const links = document.querySelectorAll("a.zoom");
     if (!links.length || !window.HTMLDialogElement) return;
     const dialog = document.createElement("dialog");
     dialog.className = "zoomed";
-    dialog.innerHTML = '<div tabindex="0"><img alt=""></div><button type="button">Close</button>';
+    dialog.innerHTML = `<div tabindex="0"><img alt=""></div><form method="dialog">
+      <button type="button">Smaller</button> <button type="button">Larger</button> <button>Close</button></form>`;
     document.body.append(dialog);
+    const place = dialog.querySelector("div");
     const image = dialog.querySelector("img");
-    const steps = [0, 1, 2];
-    let step = 0;
-    const size = () => {
-      const factor = steps[step];
-      image.style.width = factor ? `${factor * image.naturalWidth}px` : "100%";
-      image.style.height = factor ? "auto" : "100%";
-      image.style.objectFit = "contain";
-    };
-    image.addEventListener("click", () => {
-      step = (step + 1) % steps.length;
-      size();
+    const [smaller, larger] = dialog.querySelectorAll("button");
+    const most = 16;
+    let factor = 1;
+    // What stands at a point of the window, in shares of it, stays there.
+    function scale(wanted, x = 0.5, y = 0.5) {
+      const to = Math.min(Math.max(wanted, 1), most);
+      const left = (place.scrollLeft + x * place.clientWidth) * (to / factor) - x * place.clientWidth;
+      const top = (place.scrollTop + y * place.clientHeight) * (to / factor) - y * place.clientHeight;
+      factor = to;
+      image.style.width = image.style.height = `${100 * factor}%`;
+      smaller.disabled = factor === 1;
+      larger.disabled = factor === most;
+      place.scrollTo(left, top);
+    }
+    smaller.addEventListener("click", () => scale(factor / 2));
+    larger.addEventListener("click", () => scale(factor * 2));
+    image.addEventListener("click", (event) => {
+      scale(factor < most ? factor * 2 : 1, event.clientX / place.clientWidth, event.clientY / place.clientHeight);
     });
-    dialog.querySelector("button").addEventListener("click", () => dialog.close());
+    dialog.addEventListener("keydown", (event) => {
+      if (event.key === "+" || event.key === "=") scale(factor * 2);
+      else if (event.key === "-") scale(factor / 2);
+    });
     for (const link of links) {
       link.addEventListener("click", (event) => {
         if (event.ctrlKey || event.metaKey || event.shiftKey) return;
@@ -159,9 +171,8 @@
         image.src = shown.src;
         image.alt = shown.alt;
         dialog.setAttribute("aria-label", shown.alt);
-        step = 0;
-        size();
         dialog.showModal();
+        scale(1);
       });
     }
   }
