@@ -9,6 +9,8 @@ from pathlib import Path
 
 PAPER = "paper.bib"
 """The entry of a paper, in its folder under experiments/."""
+OURS = "hident"
+"""The key of hident itself."""
 _ENTRY = re.compile(r"@\w+\s*{\s*([^,\s]+)\s*,.*?\n}", re.DOTALL)
 # A surname, others, and one year or several.
 _CITED = re.compile(

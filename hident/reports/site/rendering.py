@@ -15,6 +15,11 @@ if TYPE_CHECKING:
 
 TEMPLATES = Path(__file__).parent / "templates"
 STATIC = Path(__file__).parent / "static"
+POLICY = (
+    "default-src 'none'; script-src 'self' file:; style-src 'self' file: 'unsafe-inline'; "
+    "img-src 'self' file:; form-action 'self' file:; base-uri 'none'"
+)
+"""What a page may load: files of the site alone. Opened from a file, it is no place of its own to some browsers."""
 NAVIGATION = {
     "Ledger": FRONT,
     "Runs": "runs/index.html",
@@ -33,7 +38,14 @@ def rendered(page: Page) -> Written:
 
     template = _environment().get_template(page.template)
     html = template.render(
-        {**page.data, "page": page, "to": to, "navigation": NAVIGATION, "version": hident.__version__}
+        {
+            **page.data,
+            "page": page,
+            "to": to,
+            "navigation": NAVIGATION,
+            "policy": POLICY,
+            "version": hident.__version__,
+        }
     )
     return Written(page.path, page.title, page.section, html, page.text, page.passages)
 

@@ -449,9 +449,9 @@ def _commands(run: Run, sources: Sources) -> Iterator[tuple[str, str]]:
 
 
 def _citations(facts: Facts, experiments: Path) -> Iterator[tuple[str, str]]:
-    """BibTeX of the paper and of what the configuration uses, each once, and what it is for."""
+    """BibTeX of hident, the paper and what the configuration uses, each once, and what it is for."""
     known = bibliography.known(experiments)
-    uses: dict[str, list[str]] = {}
+    uses: dict[str, list[str]] = {bibliography.OURS: ["hident itself"]}
     if facts.paper in known:
         uses[facts.paper] = ["the paper"]
     for section, family in _SECTIONS.items():
