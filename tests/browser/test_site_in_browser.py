@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 KINDS = (
     "index.html",
+    "differences.html",
     "search.html",
     "runs/index.html",
     "runs/mzyk_table1.html",
@@ -206,6 +207,19 @@ def test_pages_are_readable_without_scripts(browser: Browser, site: Path, name: 
     context.close()
 
 
+def test_the_policy_of_a_page_refuses_what_is_not_of_the_site(browser: Browser, site: Path) -> None:
+    page = browser.new_page()
+    page.goto((site / "index.html").as_uri())
+    refused = page.evaluate("""() => new Promise(done => {
+        addEventListener("securitypolicyviolation", event => done(event.blockedURI));
+        const script = document.createElement("script");
+        script.src = "https://example.org/a.js";
+        document.head.append(script);
+    })""")
+    assert refused == "https://example.org/a.js"
+    page.close()
+
+
 # Axe
 
 # Of a file no style sheet can be fetched, which only rules on the orientation of screens would look at.
@@ -302,6 +316,73 @@ def test_the_ledger_is_filtered_by_keyboard(page: Page, site: Path) -> None:
     page.keyboard.press("Tab")
     page.keyboard.press("ArrowDown")
     assert page.evaluate("document.activeElement.value") != ""
+
+
+def test_what_is_chosen_stands_in_the_address(page: Page, site: Path) -> None:
+    front = (site / "index.html").as_uri()
+    page.goto(front)
+    every = len(_attributes(page, "paper"))
+    form = page.locator("form.filters")
+    form.locator("select[name=paper]").select_option("mzyk2009")
+    form.locator("select[name=verdict]").select_option("exact")
+    assert page.url == f"{front}#tables?paper=mzyk2009&verdict=exact"
+    shown = len(_attributes(page, "paper"))
+    assert 0 < shown < every
+    page.go_back()
+    assert page.url == f"{front}#tables?paper=mzyk2009"
+    assert form.locator("select[name=verdict]").input_value() == ""
+    assert shown < len(_attributes(page, "paper")) < every
+    page.go_back()
+    assert page.url == front
+    assert len(_attributes(page, "paper")) == every
+    page.go_forward()
+    assert {*_attributes(page, "paper")} == {"mzyk2009"}
+    form.get_by_role("button", name="Show all").click()
+    page.wait_for_url(front)
+    # As somebody opens it to whom the address was sent.
+    page.goto("about:blank")
+    page.goto(f"{front}#tables?paper=mzyk2009&verdict=exact")
+    assert len(_attributes(page, "paper")) == shown
+    assert form.locator("output").is_visible()
+    page.goto("about:blank")
+    page.goto(f"{front}#tables?paper=nobody&verdict=%3Cscript%3E")
+    assert len(_attributes(page, "paper")) == every
+
+
+def test_a_text_that_is_looked_for_is_one_step_back(page: Page, site: Path) -> None:
+    runs = (site / "runs/index.html").as_uri()
+    page.goto((site / "index.html").as_uri())
+    page.goto(runs)
+    page.locator("form.filters input[type=search]").press_sequentially("wang table")
+    assert page.url == f"{runs}#runs?text=wang+table"
+    page.go_back()
+    assert page.url == (site / "index.html").as_uri()
+
+
+def test_the_differences_are_filtered_and_lead_to_their_cells(page: Page, site: Path) -> None:
+    page.goto((site / "differences.html").as_uri())
+    page.locator("select[name=why]").select_option("misprint")
+    rows = page.locator("#differences [data-row]:visible")
+    assert 0 < rows.count() < page.locator("#differences [data-row]").count()
+    printed = rows.first.locator("b").first.inner_text()
+    rows.first.locator("a").click()
+    detail = page.locator("[popover]:popover-open")
+    detail.wait_for()
+    assert "misprint" in detail.inner_text()
+    assert printed in detail.inner_text()
+    page.keyboard.press("Escape")
+    # Back on the list, it is filtered as it was.
+    page.go_back()
+    page.wait_for_function("document.querySelector('#differences [data-row][hidden]')")
+    assert page.locator("select[name=why]").input_value() == "misprint"
+
+
+def test_a_number_that_differs_leads_to_its_cell_on_the_same_page(page: Page, site: Path) -> None:
+    page.goto((site / "runs/mzyk_table1.html").as_uri())
+    page.locator(".reason a").first.click()
+    detail = page.locator("[popover]:popover-open")
+    detail.wait_for()
+    assert "differs" in detail.inner_text()
 
 
 def test_runs_are_filtered_by_their_text(page: Page, site: Path) -> None:

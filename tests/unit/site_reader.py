@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import posixpath
+import re
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
+
+from hident.reports.site.notation import in_words
 
 _VOID = {"meta", "link", "img", "br", "input", "hr", "path", "rect", "circle"}
 
@@ -83,6 +87,11 @@ def dead_links(site, read):
                 if missing or (anchor and target in read and unquote(anchor) not in read[target].ids):
                     found.append((page, link))
     return found
+
+
+def seen(text):
+    """The letters of a text on a page: indices and powers stand there without their marks."""
+    return unescape(re.sub(r"<[^>]*>", "", in_words(text)))
 
 
 def written(folder, name, text):

@@ -13,12 +13,13 @@ import pytest
 
 from hident import plugins
 from hident.config.load import read_leniently
+from hident.config.spec import components
 from hident.engine.run_files import RUN, TRIALS, VERDICTS
 from hident.errors import ConfigError, NothingToCompare
 from hident.ledger.judged import COUNTED
 from hident.ledger.trial_values import TrialValues
 from hident.reports.site import build as module
-from hident.reports.site import configuration, drawings, front, runs, tables
+from hident.reports.site import configuration, differences, drawings, front, methods, runs, tables
 from hident.reports.site.build import build
 from hident.reports.site.facts import WORDS
 from hident.reports.site.pages import FRONT, Run, Sources, run_page
@@ -26,7 +27,7 @@ from hident.reports.site.rendering import rendered
 from hident.reports.tables.writing import SIGNS
 from hident.run_folder import RunFolder
 from tests.accepted import RESULTS, ROOT
-from tests.unit.site_reader import Reader, dead_links, pages, written
+from tests.unit.site_reader import Reader, dead_links, pages, seen, written
 
 MOST_BYTES = 300_000
 """Of a page without its figures."""
@@ -132,7 +133,7 @@ def test_every_printed_number_stands_with_ours_and_its_verdict(read, config):
         assert said.startswith(f"printed {printed} {signs[row['verdict']]} {row['verdict']}, ours ")
         detail = " ".join(details[f"n{i + 1}"]["text"].split())
         for text in (row["table"], row["row"], row["quantity"], printed, row["interval"]):
-            assert " ".join(text.split()) in detail
+            assert " ".join(seen(text).split()) in detail
         assert f"hident run {config}" in detail
         assert "trials" in detail
     # All trials of brouri_order give the order 1.
@@ -245,7 +246,7 @@ def test_every_table_of_the_ledger_stands_on_the_front_page(read):
     words = {word for row in rows for word in row["attributes"]["data-verdict"].split("|")}
     assert words == set(WORDS)
     methods = {option["text"] for option in front.of("option")}
-    assert {"kernel", "two_stage", "iterative_wiener"} <= methods
+    assert {"kernel regression estimate (Mzyk)", "two-stage algorithm, TSA (Wang, Zhang, Ljung)"} <= methods
 
 
 def rows_of(config):
@@ -256,10 +257,86 @@ def rows_of(config):
 def test_differences_stand_beside_their_reasons(read):
     page = read["runs/mzyk_table1.html"]
     [first, second] = page.of("div", class_="reason")
-    assert "falls more slowly than h ~ N^-1/5 allows" in first["text"]
+    assert "falls more slowly than h ~ N\N{MINUS SIGN}1/5 allows" in first["text"]
     assert "printed 4.42, ours 2.807 [2.245 to 3.528]" in " ".join(first["text"].split())
     assert "9.06" in second["text"]
     assert "4.87" in second["text"]
+
+
+def test_all_numbers_that_differ_stand_on_one_page_and_lead_to_their_cells(read):
+    page = read["differences.html"]
+    rows = page.of("li")
+    rows = [one for one in rows if "data-paper" in one["attributes"]]
+    differing = [
+        (run, row)
+        for run in JUDGED
+        for row in rows_of(run)
+        if row["verdict"] == "differs" and row["mark"] in COUNTED
+    ]
+    assert len(rows) == len(differing) > 20
+    said = [" ".join(one["text"].split()) for one in rows]
+    for _, row in differing:
+        words = seen(f"{row['table']}, {row['row']}, {row['quantity']}")
+        assert any(words in text and f"{row['printed'].lstrip('<>')}, ours " in text for text in said)
+    links = [one["attributes"]["href"] for one in page.of("a")]
+    for run, row in differing:
+        place = rows_of(run).index(row) + 1
+        assert f"runs/{run}.html#number-{place}" in links
+        assert any(
+            one["attributes"].get("id") == f"number-{place}" for one in read[f"runs/{run}.html"].of("button")
+        )
+    assert {one["attributes"]["data-why"] for one in rows} <= {
+        "misprint",
+        "a reason is given",
+        "no reason yet",
+    }
+    assert any(one["attributes"]["data-why"] == "misprint" for one in rows)
+    assert "differences.html" in [one["attributes"]["href"] for one in read["index.html"].of("a")]
+
+
+def test_where_nothing_differs_no_page_says_so(tmp_path):
+    build([RESULTS / "wang_table1"], tmp_path / "site", results=RESULTS, **FOLDERS)
+    assert not (tmp_path / "site" / "differences.html").exists()
+    front = (tmp_path / "site" / FRONT).read_text(encoding="utf-8")
+    assert "differences.html" not in front
+
+
+def test_more_differences_than_a_page_bears_are_told_of(tmp_path, monkeypatch):
+    monkeypatch.setattr(differences, "_MOST", 3)
+    build([RESULTS / "chen_table1"], tmp_path / "site", results=RESULTS, **FOLDERS)
+    page = pages(tmp_path / "site")["differences.html"]
+    assert len([one for one in page.of("li") if "data-paper" in one["attributes"]]) == 3
+    wrong = sum(row["verdict"] == "differs" and row["mark"] in COUNTED for row in rows_of("chen_table1"))
+    assert f"{wrong - 3} more stand on the pages of the runs." in page.text_of("p")
+
+
+def test_symbols_are_set_as_such_in_titles_tables_and_cells(site, read):
+    html = (site / "runs/wang_table2.html").read_text(encoding="utf-8")
+    assert "W=<var>R</var><sup>\N{MINUS SIGN}1</sup> estimated</th>" in html
+    assert "R^-1</th>" not in html
+    html = (site / "runs/mzyk_rates.html").read_text(encoding="utf-8")
+    [title] = read["runs/mzyk_rates.html"].text_of("h1")
+    assert title == seen(
+        json.loads((RESULTS / "mzyk_rates" / RUN).read_bytes())["experiment"]["resolved"]["title"]
+    )
+    variance = read["runs/mzyk_variance.html"]
+    assert any("\N{GREEK SMALL LETTER SIGMA}z2=1" in text for text in variance.text_of("th"))
+
+
+def test_every_method_of_ours_has_the_name_that_papers_use():
+    ours = {kind for kind, cls in components("estimator").items() if cls.__module__.startswith("hident.")}
+    assert ours == set(methods._NAMES)
+    assert len(set(methods._NAMES.values())) == len(ours)
+
+
+def test_a_page_loads_files_of_the_site_alone(read):
+    for page in read.values():
+        [policy] = [one["attributes"] for one in page.of("meta") if "http-equiv" in one["attributes"]]
+        assert policy["http-equiv"] == "Content-Security-Policy"
+        assert policy["content"].startswith("default-src 'none'; ")
+        assert "http:" not in policy["content"] and "unsafe-eval" not in policy["content"]
+        # Scripts stand in files.
+        assert all("src" in one["attributes"] and not one["text"] for one in page.of("script"))
 
 
 def test_a_page_says_where_the_numbers_come_from_and_how_to_make_them_again(read):
@@ -672,7 +749,7 @@ def test_the_numbers_that_a_figure_draws_stand_beside_it_unpacked(run, tmp_path)
 def test_the_packed_drawing_of_a_figure_is_shown_and_a_broken_one_is_not(run, tmp_path):
     text = '<svg width="504pt" height="324pt" viewBox="0 0 504 324" xmlns="http://www.w3.org/2000/svg"/>'
     (run / "mise.svg.xz").write_bytes(lzma.compress(text.encode()))
-    rewritten(run, lambda content: content["files"].append("mise.svg.xz"))
+    rewritten(run, lambda content: content.update(files=[*dict.fromkeys([*content["files"], "mise.svg.xz"])]))
     built = build([run], tmp_path / "site", results=RESULTS, **FOLDERS)
     assert built.faults == ()
     assert (tmp_path / "site/runs/mzyk_table1/mise.svg").read_text(encoding="utf-8") == text
@@ -680,7 +757,8 @@ def test_the_packed_drawing_of_a_figure_is_shown_and_a_broken_one_is_not(run, tm
     assert [link for page, link in dead_links(tmp_path / "site", read) if page.startswith("runs/")] == []
 
     def shown(read):
-        [one] = [tag for tag in read["runs/mzyk_table1.html"].of("img") if "(mise)" in tag["alt"]]
+        found = [one["attributes"] for one in read["runs/mzyk_table1.html"].of("img")]
+        [one] = [one for one in found if "(mise)" in one["alt"]]
         return one["src"], one["width"], one["height"]
 
     # As large as the PNG of the same figure, of 7 x 4.5 inches.

@@ -14,7 +14,7 @@ from hident.engine.run_files import OWN, POWER, unpacked
 from hident.engine.trial import digest
 from hident.errors import ConfigError, NothingToCompare, StoreError
 from hident.new_files import made_folder, replacing
-from hident.reports.site import components, front, handbook, papers, runs, search
+from hident.reports.site import components, differences, front, handbook, papers, runs, search
 from hident.reports.site.pages import FRONT, Part, Run, Sources, Written
 from hident.reports.site.rendering import STATIC, TEMPLATES, rendered
 from hident.run_folder import RunFolder
@@ -72,7 +72,7 @@ def build(
     kept = _Kept(place.with_name(f".{place.name}-cache"))
     parts = [
         part
-        for module in (front, runs, papers, components, handbook, search)
+        for module in (front, differences, runs, papers, components, handbook, search)
         for part in module.parts(sources)
     ]
     pages = [page for part in parts for page in kept.pages(part)]

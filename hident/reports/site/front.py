@@ -6,7 +6,6 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from hident.engine.run_files import PAGE, unpacked
 from hident.engine.trial import digest
@@ -15,8 +14,19 @@ from hident.ledger.verify import TableState
 from hident.reports.page import Page as Content
 from hident.reports.site import drawings, tables
 from hident.reports.site.facts import WORDS
+from hident.reports.site.methods import method
 from hident.reports.site.numbers import DERIVED, MEANINGS, UNCOUNTED, chance
-from hident.reports.site.pages import FRONT, Page, Part, Run, Sources, paper_page, run_file, run_page
+from hident.reports.site.pages import (
+    DIFFERENCES,
+    FRONT,
+    Page,
+    Part,
+    Run,
+    Sources,
+    paper_page,
+    run_file,
+    run_page,
+)
 from hident.reports.site.remarks import Remarks
 from hident.reports.site.rendering import NAVIGATION
 from hident.reports.tables.writing import SIGNS
@@ -44,6 +54,7 @@ class Row:
     state: TableState
     run: Run
     methods: tuple[str, ...]
+    """As papers call them."""
     misprints: int = 0
     """How many of the numbers that differ are misprinted."""
 
@@ -96,7 +107,7 @@ def parts(sources: Sources) -> Iterator[Part]:
     """One part: the front page, the list of runs and what both are made of."""
     key = [[run.name, run.hashes, list(run.facts.faults)] for run in sources.runs]
     said = [[name, repr(remarks)] for name, remarks in sorted(sources.remarks.items())]
-    yield Part(digest(["front", key, _titles(sources), said]), lambda: _pages(sources))
+    yield Part(digest(["front", key, sources.titles, said]), lambda: _pages(sources))
 
 
 def picture(sources: Sources) -> str:
@@ -111,7 +122,7 @@ def picture(sources: Sources) -> str:
 
 def papers(sources: Sources) -> list[Paper]:
     """The papers with their tables, by their titles; tables of which no number counts are left out."""
-    titles = dict(_titles(sources))
+    titles = sources.titles
     found: dict[str, list[Row]] = {}
     for run in sources.runs:
         for state in run.facts.tables:
@@ -119,7 +130,7 @@ def papers(sources: Sources) -> list[Paper]:
                 row = Row(
                     state,
                     run,
-                    run.facts.kinds("estimators"),
+                    methods_of(run),
                     _misprints(run, state, sources.remarks[run.facts.paper]),
                 )
                 found.setdefault(run.facts.paper, []).append(row)
@@ -129,27 +140,21 @@ def papers(sources: Sources) -> list[Paper]:
     ]
 
 
+def methods_of(run: Run) -> tuple[str, ...]:
+    """The methods of a run, as papers call them."""
+    return tuple(map(method, run.facts.kinds("estimators")))
+
+
 def _misprints(run: Run, state: TableState, remarks: Remarks) -> int:
     return sum(
         remarks.is_misprint(run.facts.config, key_of(one), one["verdict"]) for one in _rows(run, state)
     )
 
 
-def _titles(sources: Sources) -> list[list[str]]:
-    """The folders under experiments/ and the titles of their pages."""
-    return [[file.parent.name, _first_line(file)] for file in sorted(sources.experiments.glob("*/README.md"))]
-
-
-def _first_line(file: Path) -> str:
-    with file.open(encoding="utf-8", errors="replace") as lines:
-        return lines.readline().strip().lstrip("# ")
-
-
 def _pages(sources: Sources) -> Iterator[Page]:
     every = papers(sources)
     counts = {word: sum(paper.counts[word] for paper in every) for word in WORDS}
     newest = sorted(sources.runs, key=lambda run: (run.facts.finished, run.name), reverse=True)
-    titled = dict(_titles(sources))
     common = {
         "drawings": drawings,
         "words": WORDS,
@@ -170,8 +175,14 @@ def _pages(sources: Sources) -> Iterator[Page]:
         "readings": _readings(every),
         "chance": chance,
         "without_folders": tables.without_folders,
-        "source_of": {run.name: paper_page(run.facts.config) for run in newest if run.facts.config in titled},
-        "methods": sorted({kind for paper in every for row in paper.rows for kind in row.methods}),
+        "source_of": {
+            run.name: paper_page(run.facts.config) for run in newest if run.facts.config in sources.titles
+        },
+        "methods": sorted(
+            {name for paper in every for row in paper.rows for name in row.methods}, key=str.lower
+        ),
+        "methods_of": methods_of,
+        "differences": DIFFERENCES if counts["differs"] else "",
         "comparisons": [(run, _picture_of(run)) for run in newest if run.facts.is_comparison],
         "measured": [
             (run, _picture_of(run), _first_table(run)) for run in newest if _what(run) == "measured"

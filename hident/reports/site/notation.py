@@ -27,10 +27,18 @@ _SIGNS = {
     "...": "…",
 }
 
+_ACCENTS = {
+    "hat": "\N{COMBINING CIRCUMFLEX ACCENT}",
+    "check": "\N{COMBINING CARON}",
+    "bar": "\N{COMBINING MACRON}",
+    "tilde": "\N{COMBINING TILDE}",
+}
+"""What stands above a symbol, as in W_check."""
 _WORD = "|".join(_GREEK)
 # What an index says: in braces or brackets, a number, or a few letters. A longer one is part of a name.
 _BRACKETS = r"\((?:[^()]|\([^()]*\))*\)"
-_INDEX = rf"\{{[^{{}}]*\}}|{_BRACKETS}|-?\d+(?![A-Za-z0-9_])|[A-Za-z0-9]{{1,3}}(?![A-Za-z0-9_])"
+_ACCENT = rf"(?:{'|'.join(_ACCENTS)})(?![A-Za-z0-9])"
+_INDEX = rf"{_ACCENT}|\{{[^{{}}]*\}}|{_BRACKETS}|-?\d+(?![A-Za-z0-9_])|[A-Za-z0-9]{{1,3}}(?![A-Za-z0-9_])"
 # A fraction is a power where it has a sign or is 1/n: x^2/2 is half of x^2.
 _POWER = rf"\{{[^{{}}]*\}}|-?{_BRACKETS}|-\d+(?:\.\d+)?(?:/\d+)?|1/\d+|\d+(?:\.\d+)?|-?[A-Za-z]+"
 _TAIL = rf"(?:_(?:{_INDEX})|\^(?:{_POWER}))+"
@@ -57,6 +65,8 @@ def in_words(text: str) -> str:
 
     Examples
     --------
+    >>> in_words("W = W_check, sigma_z^2=1")
+    'W = <var>W̌</var>, σ<sub>z</sub><sup>2</sup>=1'
     >>> in_words("h_N = h0 N^-1/5 for known_point & x_label")
     '<var>h</var><sub>N</sub> = h0 <var>N</var><sup>−1/5</sup> for known_point &amp; x_label'
     """
@@ -90,16 +100,20 @@ def formula(text: str) -> str:
 
 
 def _symbol(base: str, tail: str) -> str:
-    return ("∑" if base == "sum" else _name(base)) + "".join(
-        f"<{tag}>{_said(said, tag)}</{tag}>"
-        for match in _SUFFIX.finditer(tail)
-        for tag, said in match.groupdict().items()
-        if said
-    )
+    above, suffixes = "", ""
+    for match in _SUFFIX.finditer(tail):
+        [(tag, said)] = [(tag, said) for tag, said in match.groupdict().items() if said]
+        if tag == "sub" and said in _ACCENTS:
+            above += _ACCENTS[said]
+        else:
+            suffixes += f"<{tag}>{_said(said, tag)}</{tag}>"
+    return ("∑" if base == "sum" else _name(base, above)) + suffixes
 
 
-def _name(word: str) -> str:
-    return _GREEK.get(word) or (f"<var>{word}</var>" if len(word) == 1 and word.isalpha() else escape(word))
+def _name(word: str, above: str = "") -> str:
+    if word in _GREEK:
+        return _GREEK[word] + above
+    return f"<var>{word}{above}</var>" if len(word) == 1 and word.isalpha() else escape(word) + above
 
 
 def _said(said: str, tag: str) -> str:

@@ -48,8 +48,8 @@ STATISTICS = {"mean": "mean", "median": "median", "std": "standard deviation"}
 class Number:
     """One printed number beside ours, with what a page shows of it."""
 
-    id: str
-    """Its anchor."""
+    place: int
+    """Its row in verdicts.csv, from 1."""
     judged: Judged
     of: str
     """In words, which of our series it is; empty if that is not known."""
@@ -66,6 +66,16 @@ class Number:
     """What published.csv says of it."""
     is_misprint: bool = False
     """Whether the reason for its difference is that it is misprinted."""
+
+    @property
+    def id(self) -> str:
+        """The name of its details on the page of its run."""
+        return f"n{self.place}"
+
+    @property
+    def anchor(self) -> str:
+        """The name of its cell there."""
+        return f"number-{self.place}"
 
     @property
     def printed(self) -> str:
@@ -217,7 +227,7 @@ def numbers_of(
         there = None if values is None else values[np.isfinite(values)]
         known = power.numbers.get(one.key) if power else None
         yield Number(
-            id=f"n{i + 1}",
+            place=i + 1,
             judged=one,
             of=of[i],
             values=there,

@@ -21,6 +21,8 @@ FRONT = "index.html"
 """The page that is seen first."""
 COMPONENTS = "components/index.html"
 """The page that lists the components."""
+DIFFERENCES = "differences.html"
+"""The page that lists the printed numbers that differ; there where one does."""
 FILE_PAGE = "components/file.html"
 """The page of the keys of a configuration itself, those of no component."""
 
@@ -130,6 +132,12 @@ class Sources:
         papers = {run.facts.paper for run in self.runs}
         return {one: Remarks.of(self.experiments / one) if one else Remarks({}, ()) for one in papers}
 
+    @cached_property
+    def titles(self) -> dict[str, str]:
+        """The titles of the pages of the folders under experiments/, by the names of the folders."""
+        files = sorted(self.experiments.glob("*/README.md"))
+        return {file.parent.name: _first_line(file) for file in files}
+
     def named(self, config: str) -> str:
         """What the commands call a configuration: its name, or the path of its file where that stands aside.
 
@@ -179,6 +187,11 @@ class Sources:
     @cached_property
     def _held(self) -> frozenset[str]:
         return frozenset(self.held)
+
+
+def _first_line(file: Path) -> str:
+    with file.open(encoding="utf-8", errors="replace") as lines:
+        return lines.readline().strip().lstrip("# ")
 
 
 def file_name(name: str) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import hident
+from hident.reports.site import notation
 from hident.reports.site.pages import COMPONENTS, FRONT, Page, Written, relative
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ POLICY = (
     "default-src 'none'; script-src 'self' file:; style-src 'self' file: 'unsafe-inline'; "
     "img-src 'self' file:; form-action 'self' file:; base-uri 'none'"
 )
-"""What a page may load: files of the site alone. Opened from a file, it is no place of its own to some browsers."""
+"""What a page may load: files of the site alone, which to some browsers a page in a file is not part of."""
 NAVIGATION = {
     "Ledger": FRONT,
     "Runs": "runs/index.html",
@@ -53,6 +54,7 @@ def rendered(page: Page) -> Written:
 @cache
 def _environment() -> jinja2.Environment:
     import jinja2
+    import markupsafe
 
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
@@ -62,6 +64,7 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     environment.filters["default_counts"] = _every_word
+    environment.filters["typeset"] = lambda text: markupsafe.Markup(notation.in_words(str(text)))
     return environment
 
 

@@ -63,6 +63,7 @@ _PICTURES = (".svg", ".png", ".pdf")
 _POINTS = re.compile(rb'<svg [^>]*width="([\d.]+)pt" height="([\d.]+)pt"')
 _MOST_ROWS = 100
 """Rows of alternatives and of failures that a page shows."""
+NO_REASON = "No reason is given yet."
 _SECTIONS = {
     "estimators": "estimator",
     "metrics": "metric",
@@ -222,6 +223,7 @@ def _page(
         "chance": chance,
         "file": partial(run_file, run.name),
         "grids": tables.grids(numbers[: tables.MOST_NUMBERS]),
+        "most_numbers": tables.MOST_NUMBERS,
         "more_numbers": max(len(numbers) - tables.MOST_NUMBERS, 0),
         "states": {state.table: state for state in facts.tables},
         "drawings": drawings,
@@ -299,6 +301,13 @@ def _text_of(run: Run, name: str) -> str:
     return (run.folder.path / name).read_text(encoding="utf-8", errors="replace")
 
 
+def differing(run: Run, remarks: Remarks) -> list[tuple[str, list[Number]]]:
+    """The numbers of a run that count and differ, those of one reason together."""
+    trials, _ = _trials(run)
+    numbers, _ = _numbers(run, trials, remarks)
+    return _differing([one for one in numbers if one.judged.counts], run.facts, remarks)
+
+
 def _differing(numbers: Sequence[Number], facts: Facts, remarks: Remarks) -> list[tuple[str, list[Number]]]:
     """The numbers that differ, those of one reason together; the reasons are those of today."""
     found: dict[str, list[Number]] = {}
@@ -306,11 +315,7 @@ def _differing(numbers: Sequence[Number], facts: Facts, remarks: Remarks) -> lis
         it = one.judged
         if it.word == "differs":
             today = remarks.reason(facts.config, it.key)
-            said = (
-                (today.reason if today else it.reason)
-                or MARKS.get(it.mark, "").capitalize()
-                or "No reason is given yet."
-            )
+            said = (today.reason if today else it.reason) or MARKS.get(it.mark, "").capitalize() or NO_REASON
             found.setdefault(said, []).append(one)
     return list(found.items())
 

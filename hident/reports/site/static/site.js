@@ -98,12 +98,14 @@
     }
   }
 
-  // Filters of a table: each select names an attribute of the rows, in which values stand between bars.
+  // Filters of a list: each select names an attribute of the rows, in which values stand between bars. What is
+  // chosen stands in the address, as in #tables?verdict=differs, so that it can be sent, and the way back leads there.
   function addFilters() {
     for (const form of document.querySelectorAll("form.filters")) {
       const rows = [...document.querySelectorAll(`#${form.dataset.rows} [data-row]`)];
       const said = form.querySelector("output");
       const fields = [...form.querySelectorAll("select, input")];
+      const start = `#${form.dataset.rows}?`;
       const apply = () => {
         let shown = 0;
         for (const row of rows) {
@@ -121,12 +123,47 @@
         }
         said.textContent = `${shown} of ${rows.length} shown`;
       };
+      const write = (isTyped) => {
+        const chosen = new URLSearchParams();
+        for (const field of fields) if (field.value.trim()) chosen.set(field.name, field.value.trim());
+        const words = chosen.toString();
+        const address = location.href.replace(/#.*/, "") + (words ? start + words : "");
+        // A word is one step of the way, not one for each letter.
+        if (address !== location.href) history[isTyped ? "replaceState" : "pushState"](null, "", address);
+      };
+      const read = () => {
+        const is = location.hash.startsWith(start);
+        const chosen = new URLSearchParams(is ? location.hash.slice(start.length) : "");
+        for (const field of fields) {
+          field.value = chosen.get(field.name) || "";
+          // A value that is not among those of the list leaves it without any.
+          if (field.selectedIndex === -1) field.value = "";
+        }
+        apply();
+        return is;
+      };
       form.hidden = false;
-      form.addEventListener("input", apply);
+      form.addEventListener("input", (event) => {
+        apply();
+        write(event.target.type === "search");
+      });
       form.addEventListener("submit", (event) => event.preventDefault());
-      form.addEventListener("reset", () => setTimeout(apply));
-      apply();
+      form.addEventListener("reset", () => setTimeout(() => {
+        apply();
+        write(false);
+      }));
+      addEventListener("popstate", read);
+      if (read()) form.scrollIntoView();
     }
+  }
+
+  // An address that names a number opens it.
+  function openNamed() {
+    const named = location.hash.length > 1 && document.getElementById(location.hash.slice(1));
+    if (!named || !named.matches("button.number")) return;
+    named.scrollIntoView({ block: "center" });
+    const detail = document.getElementById(named.getAttribute("popovertarget"));
+    if (detail.showPopover && !detail.matches(":popover-open")) named.click();
   }
 
   // A figure in the whole window: opened by its link, larger by a click, buttons or + and -, closed by Escape.
@@ -185,5 +222,7 @@
     addDetails();
     addFilters();
     addZoom();
+    openNamed();
+    addEventListener("hashchange", openNamed);
   });
 })();
