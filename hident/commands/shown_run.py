@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,8 +12,9 @@ from hident.commands.results_folders import FoundRun, is_run, list_runs, runs_in
 from hident.commands.shown_numbers import print_numbers, print_series
 from hident.commands.terminal import signed, terminal, text_of
 from hident.config.suggest import did_you_mean, one_of
-from hident.engine.run_files import NUMBERS, PAGE, in_format
+from hident.engine.run_files import NUMBERS, PAGE, RUN, in_format
 from hident.errors import ConfigError, Exit, HidentError
+from hident.reports.failures import failures_of
 from hident.reports.page import Page
 from hident.reports.table import Table, is_number
 from hident.run_folder import RunFolder
@@ -25,6 +27,9 @@ if TYPE_CHECKING:
 _PRINTED = "printed"
 _MOST_ROWS = 500
 """The rows of a table that are printed; of more, the first."""
+_MOST_REASONS = 20
+_MOST_CASES = 10
+"""Of reasons why trials failed, and of the cases of each, those that are printed."""
 
 
 def show_results(path: Path, results: Path) -> Exit:
@@ -57,6 +62,8 @@ def _show_run(run: FoundRun, results: Path) -> Exit:
     if run.numbers:
         print_numbers(console, run, results)
     print_series(console, run)
+    for line in _failures(run):
+        console.print(line)
     for text in run.page.below if run.page else ():
         console.print()
         console.print(signed(text) if text.startswith("Printed") else text_of(text))
@@ -139,6 +146,24 @@ def _shown(table: Table) -> Shown:
         cells = zip(row, is_verdict, strict=True)
         shown.add_row(*(signed(cell) if verdict else text_of(cell) for cell, verdict in cells))
     return shown
+
+
+def _failures(run: FoundRun) -> Iterator[Text]:
+    """Why trials failed, the most frequent reason first, and where."""
+    by_reason = failures_of(run.folder).by_reason
+    if by_reason:
+        yield text_of("")
+        yield text_of("failures", "bold underline")
+    for reason, rows in islice(by_reason.items(), _MOST_REASONS):
+        yield text_of(f"{sum(row.trials for row in rows)} times: {reason}", "bold")
+        for row in rows[:_MOST_CASES]:
+            what = f": {', '.join(row.metrics)}" if row.metrics else ""
+            at = ", ".join(filter(None, (f"estimator {row.estimator}", row.case)))
+            yield text_of(f"  {row.trials} of {row.of}, {at}{what}")
+        if len(rows) > _MOST_CASES:
+            yield text_of(f"  and {len(rows) - _MOST_CASES} more cases: {RUN} has all")
+    if len(by_reason) > _MOST_REASONS:
+        yield text_of(f"and {len(by_reason) - _MOST_REASONS} more reasons: {RUN} has all")
 
 
 def _files(run: FoundRun) -> Iterator[Text]:

@@ -493,7 +493,8 @@ def _git(folder: Path) -> dict[str, Any]:
         return done.stdout.strip()
 
     commit = git("rev-parse", "HEAD")
-    changes = git("status", "--porcelain", "--untracked-files=no")
+    # Accepting the runs before this one has changed what is accepted, on which no run depends.
+    changes = git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":(exclude)results")
     return {"git_commit": commit, "git_dirty": None if changes is None else bool(changes)}
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hident.commands import shown_run
 from hident.commands.results_folders import list_runs
 from hident.commands.shown_run import show_results
 from hident.commands.sparkline import BARS, MARK, sparkline
@@ -115,6 +116,34 @@ def test_failures_are_shown_with_their_reasons(capsys: pytest.CaptureFixture[str
         "3 of 120 trials of estimator 'Wiener' at q_b 13.5 failed (no pair of partition points gives a "
         "stable linear block and rising segments)"
     ) in text
+
+
+def test_failures_stand_by_their_reasons_with_their_cases(
+    run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "failures" not in [line.strip() for line in _shown(capsys, run).splitlines()]
+    content = json.loads((run / RUN).read_text())
+    no_root = {"reason": "no root", "trials": 1}
+    of: dict[str, Any] = {"estimator": "kernel (4)", "failed": 3, "trials": 200, "reasons": [no_root]}
+    content["failures"] = [
+        {**of, "at": {"samples": str(n)}, "reasons": [{"reason": "singular", "trials": 2}, no_root]}
+        for n in range(12)
+    ]
+    content["failures"].append({**of, "at": {}, "metrics": ["mise", "error"]})
+    (run / RUN).write_text(json.dumps(content))
+    lines = _shown(capsys, run).splitlines()
+    said = lines[lines.index("failures") :]
+    # The most frequent reason stands first.
+    assert said[1] == "24 times: singular"
+    assert said[2] == "  2 of 200, estimator kernel (4), samples 0"
+    assert said[12] == "  and 2 more cases: run.json has all"
+    assert said[13] == "13 times: no root"
+    monkeypatch.setattr(shown_run, "_MOST_REASONS", 1)
+    monkeypatch.setattr(shown_run, "_MOST_CASES", 20)
+    said = _shown(capsys, run).splitlines()
+    assert "and 1 more reasons: run.json has all" in said
+    monkeypatch.setattr(shown_run, "_MOST_REASONS", 2)
+    assert "  1 of 200, estimator kernel (4): mise, error" in _shown(capsys, run).splitlines()
 
 
 def test_verdicts_have_colours_in_a_terminal_and_none_where_these_are_not_wanted(

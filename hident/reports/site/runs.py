@@ -39,10 +39,10 @@ from hident.ledger.judged import as_number, judged, key_of
 from hident.ledger.published import PUBLISHED, REASONS
 from hident.ledger.trial_values import TrialValues
 from hident.ledger.verdicts import LEVEL
+from hident.reports.failures import failures_of, records
 from hident.reports.page import Page as Content
 from hident.reports.site import bibliography, configuration, drawings, tables
 from hident.reports.site.facts import WORDS, Facts
-from hident.reports.site.failures import failures_of
 from hident.reports.site.markdown import html
 from hident.reports.site.numbers import MARKS, MEANINGS, Number, chance, numbers_of
 from hident.reports.site.pages import (
@@ -239,7 +239,7 @@ def _page(
         "statistics": [*dict.fromkeys(one.statistic for one in numbers if one.statistic)],
         "alternatives": _alternatives(facts),
         "stale": facts.verdicts.stale if facts.verdicts else (),
-        "failures": failures_of(run),
+        "failures": failures_of(run.folder),
         "most_rows": _MOST_ROWS,
         "timing": tables.timing(run.folder.path / TIMING) if TIMING in run.files else None,
         "machine": list(_machine(facts)),
@@ -390,7 +390,7 @@ def _changes(change: Any) -> list[str]:
 
 def _moved(run: Run) -> tuple[int, int] | None:
     """How many trials a last bit moved, of how many; None where it was not measured."""
-    rows = tables.records(run.folder.path / SENSITIVITY) if SENSITIVITY in run.files else []
+    rows = records(run.folder.path / SENSITIVITY) if SENSITIVITY in run.files else []
     counts = [(as_number(row.get("perturbed", "")), as_number(row.get("moved", ""))) for row in rows]
     if not counts or any(math.isnan(one) for pair in counts for one in pair):
         return None
@@ -409,7 +409,10 @@ def _provenance(facts: Facts) -> Iterator[tuple[str, str]]:
     if known.get("hident"):
         yield "hident", str(known["hident"])
     if commit := known.get("git_commit"):
-        yield "commit", f"{commit}{', with changes since' if known.get('git_dirty') else ''}"
+        changed = ", and changes to it that were not committed then" if known.get("git_dirty") else ""
+        yield "commit", f"{commit}{changed}"
+    if key := known.get("key"):
+        yield "key of the files", f"{key}, a hash of the code and of all else that they depend on"
     if known.get("python"):
         yield "Python", str(known["python"])
     if libraries := [f"{name} {version}" for name, version in _pairs(known.get("libraries"))]:

@@ -172,14 +172,3 @@ _FOLDERS = re.compile(r"(?<!\S)(?:\.\.?/|/)[^\s:,]*/")
 def without_folders(text: str) -> str:
     """What is said of files, by their names alone: their folders are those of one machine."""
     return _FOLDERS.sub("", text)
-
-
-def records(file: Path) -> list[dict[str, str]]:
-    """The rows of a CSV by the names of its columns; none if it cannot be read."""
-    try:
-        with file.open(newline="", encoding="utf-8") as lines:
-            return [
-                {name: value or "" for name, value in row.items() if name} for row in csv.DictReader(lines)
-            ]
-    except (OSError, ValueError, csv.Error):
-        return []

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from hident.engine.run_files import TABLE
 from hident.ledger.judged import as_number
-from hident.reports.site import tables
-from hident.reports.site.pages import Run
+from hident.run_folder import RunFolder
 
 UNKNOWN = "The files do not hold why"
 """Stands for the reason in the folders of runs that kept none."""
@@ -45,16 +46,27 @@ class Failures:
             yield reason, sum(row.trials for row in rows), shown, len(rows) - len(shown)
 
 
-def failures_of(run: Run) -> Failures:
+def failures_of(folder: RunFolder) -> Failures:
     """The failures of a run by reason; without the reasons where an older hident wrote its run.json."""
-    listed = (run.folder.run() or {}).get("failures")
+    listed = (folder.run() or {}).get("failures")
     if isinstance(listed, list):
         found = [pair for entry in listed for pair in _listed(entry)]
         return Failures(True, _by_reason(found))
-    rows = tables.records(run.folder.path / TABLE) if TABLE in run.files else []
+    rows = records(folder.path / TABLE)
     counts = [as_number(row.get("failed", "")) for row in rows]
     known = bool(counts) and not any(map(math.isnan, counts))
     return Failures(known, _by_reason([(UNKNOWN, one) for one in _counted(rows)]))
+
+
+def records(file: Path) -> list[dict[str, str]]:
+    """The rows of a CSV by the names of its columns; none if it cannot be read."""
+    try:
+        with file.open(newline="", encoding="utf-8") as lines:
+            return [
+                {name: value or "" for name, value in row.items() if name} for row in csv.DictReader(lines)
+            ]
+    except (OSError, ValueError, csv.Error):
+        return []
 
 
 def _by_reason(found: Sequence[tuple[str, Failed]]) -> dict[str, list[Failed]]:
