@@ -108,6 +108,8 @@ class Comparing(MetricSpec):
 
     choices: ClassVar[tuple[Freedom, ...]] = ()
     """What it can choose for the least error; where nothing is written, what the method leaves open of it."""
+    how: ClassVar[str] = "chosen for the least error"
+    """How it does so, in words."""
 
     up_to: tuple[Freedom, ...] | None = None
     """What no data determine and is chosen for the least error: gain, sign, delay, constant; []: nothing, the

@@ -180,6 +180,11 @@ class _OfResponse(Comparing):
 
     best = "lowest"
     choices: ClassVar[tuple[Freedom, ...]] = ("constant",)
+    how: ClassVar[str] = "by which both outputs begin in equilibrium at input zero"
+
+    up_to: tuple[Freedom, ...] | None = None
+    """[constant]: both outputs begin in equilibrium at input zero; []: at rest. Left out, in equilibrium
+    where the method leaves open on which side of the linear block a constant stands, else at rest."""
 
     def needs_of_truth(self) -> frozenset[str]:
         return frozenset({"response"})

@@ -102,7 +102,7 @@ def _of_metric(metric: MetricSpec) -> Iterator[Fact]:
         choices = one_of(f"`{choice}`" for choice in metric.choices)
         yield (
             "Can compare up to",
-            f"{choices}, chosen for the least error." if choices else "Nothing: values as they are.",
+            f"{choices}, {metric.how}." if choices else "Nothing: values as they are.",
         )
 
 
