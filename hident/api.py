@@ -25,7 +25,7 @@ from hident.commands.plans import file_of, load_plans
 from hident.config.load import Document, problems_of, read_leniently
 from hident.config.schema import json_schema
 from hident.config.spec import PLURALS, Of, canonical, components, plain
-from hident.config.suggest import one_of
+from hident.config.suggest import counted, one_of
 from hident.config.yaml12 import Place
 from hident.engine import dask, runner
 from hident.engine.cases import DATA
@@ -184,12 +184,14 @@ def fit(estimator: EstimatorSpec | Written, record: Record, *, seed: int = 1, tr
     >>> hi.fit(kernel, hi.Record(np.zeros(0), np.zeros(0)))
     Traceback (most recent call last):
         ...
-    hident.errors.ConfigError: estimator 'kernel' needs at least 1 samples, and the record has 0
+    hident.errors.ConfigError: estimator 'kernel' needs at least 1 sample, and the record has 0
     """
     spec: EstimatorSpec = _made(Of("estimator").validate, estimator, "estimator")
     named, fewest = f"estimator '{spec.kind}'", spec.fewest_samples()
     if len(record) < fewest:
-        raise ConfigError(f"{named} needs at least {fewest} samples, and the record has {len(record)}")
+        raise ConfigError(
+            f"{named} needs at least {counted(fewest, 'sample')}, and the record has {len(record)}"
+        )
     try:
         spec.check(len(record), record.dt)
     except ValueError as error:

@@ -49,7 +49,7 @@ def rate_of(trials: float, seconds: float) -> str:
     """A rate in the unit that gives it a digit before the point: ``12 trials/s``, ``3 trials/h``."""
     rate = trials / max(seconds, 1e-9)
     unit, length = next((u for u in (("s", 1.0), ("min", 60.0)) if rate * u[1] >= 1.0), ("h", 3600.0))
-    return f"{rate * length:.0f} trials/{unit}"
+    return f"{counted(round(rate * length), 'trial')}/{unit}"
 
 
 def _stored(stored: int, total: int) -> str:

@@ -22,7 +22,7 @@ from hident.commands.measured import record_of
 from hident.commands.models import draw_model, save_figure
 from hident.commands.showing import print_columns
 from hident.config.spec import canonical
-from hident.config.suggest import did_you_mean, none_of, one_of
+from hident.config.suggest import counted, did_you_mean, none_of, one_of
 from hident.engine.work import pin_blas
 from hident.errors import ConfigError, EstimationError
 from hident.estimators.base import varies
@@ -148,7 +148,7 @@ class _Progress:
         self._say(f"{self.count} chains tried, {{}}: {trial.structure}")
 
     def bootstrapped(self, done: int) -> None:
-        self._say(f"{done} bootstraps fitted, {{}}")
+        self._say(f"{counted(done, 'bootstrap')} fitted, {{}}")
 
     def _say(self, text: str) -> None:
         now = time.monotonic()
@@ -339,8 +339,8 @@ def _said(
     yield from (f"- {sentence}" for sentence in verdict)
     if again is not None:
         failed = f", {again.failed} more failed" if again.failed else ""
-        count = len(again.chains)
-        yield f"bands: {count} bootstraps of the residuals in blocks of {again.length} samples{failed}"
+        bootstraps = counted(len(again.chains), "bootstrap")
+        yield f"bands: {bootstraps} of the residuals in blocks of {again.length} samples{failed}"
     yield ""
 
 

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from hident.config.load import Document, Problem, problems_of
 from hident.config.spec import Of, canonical
-from hident.config.suggest import one_of
+from hident.config.suggest import counted, one_of
 from hident.config.variables import filled
 from hident.config.yaml12 import Complaint, Location
 from hident.engine.cases import CHANGEABLE, DATA, Axis, Label, Skip
@@ -324,7 +324,8 @@ def _mismatches(unit: Unit) -> Iterator[Problem]:
     fewest = unit.estimator.fewest_samples()
     if data.samples < fewest:
         yield Problem(
-            ("estimators", unit.name), f"needs at least {fewest} samples, but samples is {data.samples}"
+            ("estimators", unit.name),
+            f"needs at least {counted(fewest, 'sample')}, but samples is {data.samples}",
         )
         return
     true, estimated = data.system.provides(), unit.estimator.provides()

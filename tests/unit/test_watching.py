@@ -75,7 +75,7 @@ def test_each_case_has_its_progress_rate_failures_and_expected_end(lab: Lab, pla
     _store(lab, plan, 80, range(1))
     clock.now = 100.0
     view.look()
-    assert (first.rate, first.left, second.rate) == ("", "done", "1 trials/min")
+    assert (first.rate, first.left, second.rate) == ("", "done", "1 trial/min")
     _store(lab, plan, 80, range(10))
     view.look()
     assert view.complete

@@ -16,7 +16,7 @@ from pydantic_core import CoreSchema, PydanticCustomError
 
 from hident.arrays import Array, Characteristic, Flags
 from hident.config.spec import Count, NonEmpty, Of, Real, component, components
-from hident.config.suggest import one_of
+from hident.config.suggest import counted, one_of
 from hident.errors import EstimationError, TrialFailed
 from hident.estimators.base import EstimatorSpec, Experiments
 from hident.estimators.normalisation import MissedConstant, Normalisation
@@ -237,7 +237,7 @@ class Select(EstimatorSpec):
         found: dict[int, str] = {}
         for i, candidate in enumerate(self.candidates):
             if n < (fewest := self._fewest_samples_with(candidate)):
-                found[i] = f"needs at least {fewest} samples"
+                found[i] = f"needs at least {counted(fewest, 'sample')}"
                 continue
             try:
                 candidate.check(n, dt)

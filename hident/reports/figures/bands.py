@@ -102,7 +102,7 @@ class Bands(FigureSpec):
         plan = results.plan
         names = list(dict.fromkeys(name for panel in self.panels for name in panel.estimators))
         measured = any(self.panels[0].unit(plan, name).data.resampled for name in names)
-        of = f"{plan.trials - 1} bootstraps" if measured else counted(plan.trials, "trial")
+        of = counted(plan.trials - 1, "bootstrap") if measured else counted(plan.trials, "trial")
         band = f"bands: central {100 * _BAND:g} % of {of}, at each point" if plan.trials > 2 else ""
         return "; ".join(filter(None, (band, first_case(plan, names))))
 
