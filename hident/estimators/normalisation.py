@@ -40,6 +40,7 @@ _STEADY, _VANISHING = 1e-5, 0.1
 
 # Where sums of functions are compared.
 _SIGNAL = np.linspace(-3.0, 3.0, 241)
+_LINEAR = frozenset({"linear", "continuous"})
 
 Factors = Mapping[str, float]
 """What each block of a system must be divided by to keep a rule, by its place: ``linear``, ``nonlinearity``,
@@ -121,7 +122,13 @@ class Normalisation:
         return self.rule if self.says is None else self.says(truth, dt)
 
     def governs(self, part: str) -> bool:
-        """Whether a part, such as ``nonlinearity`` or ``value b_1``, depends on the rule."""
+        """Whether a part, such as ``nonlinearity`` or ``value b_1``, depends on the rule.
+
+        A linear block is one part in discrete and in continuous time: an estimate may hold it in the one, and
+        the system in the other.
+        """
+        if part in _LINEAR and not self.parts.isdisjoint(_LINEAR):
+            return True
         return part in self.parts or part.rpartition("_")[0] in self.parts
 
     def of(self, estimate: Estimate | None) -> Normalisation:

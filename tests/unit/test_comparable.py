@@ -429,6 +429,67 @@ def test_every_continuous_method_by_its_own_rule(refusals, system, estimator, me
     assert (len(found) == 1 and said in found[0]) if said else found == []
 
 
+BLOCK_ERRORS = {
+    "impulse": {"kind": "impulse_response_error"},
+    "frequency": {"kind": "frequency_response_error"},
+}
+TWO_SEGMENTS = {"n": 1, "m": 1, "delay": 1, "degree": 2, "unconverged": "keep"}
+FIRST = {"n": 1, "m": 0, "horizon": 5}
+
+
+@pytest.mark.parametrize(
+    ("kind", "estimator"),
+    [
+        ("wiener", {"kind": "voros_wiener", **TWO_SEGMENTS}),
+        (
+            "wiener",
+            {"kind": "iterative_wiener", "nonlinearity": {"kind": "polynomial", "degree": 2}, "first": FIRST},
+        ),
+        ("hammerstein", {"kind": "voros_hammerstein", **TWO_SEGMENTS}),
+        ("hammerstein", {"kind": "two_stage", "lags": 20, "degree": 2}),
+        (
+            "hammerstein",
+            {
+                "kind": "iterative_hammerstein",
+                "nonlinearity": {"kind": "polynomial", "degree": 2},
+                "first": FIRST,
+            },
+        ),
+    ],
+    ids=lambda value: value["kind"] if isinstance(value, dict) else None,
+)
+def test_errors_of_a_continuous_block_are_the_same_whatever_the_split_of_the_gain(kind, estimator):
+    """Of discrete and of continuous estimates."""
+
+    def written(gain):
+        outside, inside = (gain, 1.0) if kind == "hammerstein" else (1.0, gain)
+        curve = hi.Polynomial(coefficients=[0, outside / inside, 0.2 * outside / inside**2])
+        linear = hi.Continuous(a=[2], b=[inside / outside])
+        return (hi.Hammerstein if kind == "hammerstein" else hi.Wiener)(nonlinearity=curve, linear=linear)
+
+    experiment = {
+        "version": 1,
+        "title": "Other splits of the gain",
+        "trials": 1,
+        "dt": 0.25,
+        "samples": 300,
+        "cases": {"written": {str(gain): {"system": written(gain)} for gain in (1, 4, -0.5)}},
+        "streams": {"kind": "numpy", "share": ["input"]},
+        "excitation": hi.Multistep(switching_time=1, std=0.5, limits=[-1, 1]),
+        "estimators": {"e": estimator},
+        "metrics": BLOCK_ERRORS,
+    }
+    for _, errors in hi.run(experiment).trials_frame().groupby("metric"):
+        assert errors["value"].iloc[0] < 100.0
+        assert errors["value"].to_numpy() == pytest.approx(errors["value"].iloc[0], rel=1e-3, abs=1e-3)
+
+
+def test_a_rule_governs_a_linear_block_in_discrete_and_in_continuous_time():
+    for parts in ({"linear"}, {"continuous"}):
+        rule = replace(unit_static_gain(), parts=frozenset(parts))
+        assert rule.governs("linear") and rule.governs("continuous") and not rule.governs("nonlinearity")
+
+
 def test_what_does_not_depend_on_the_factor_is_named_and_allowed(refusals):
     system = WIENER.replace("NONLINEARITY", "chen_type_3").replace("B", "[0, 2]")
     estimator = f"{{kind: iterative_wiener, nonlinearity: {{kind: four_segment}}, {HORIZONS}}}"
