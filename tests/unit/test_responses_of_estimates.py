@@ -51,6 +51,45 @@ def test_a_response_follows_the_interval_of_its_record():
     np.testing.assert_array_equal(fine[::2], found.response(u, 0.5))
 
 
+DISCRETE = {
+    "two_stage": hi.TwoStage(lags=6, delay=0, degree=3),
+    "bilinear_least_squares": hi.BilinearLeastSquares(lags=6, delay=0, degree=3),
+    "separable_least_squares": hi.SeparableLeastSquares(lags=2, delay=0, feedback=1, degree=3),
+    "voros_hammerstein": hi.VorosHammerstein(n=1, m=2, delay=0, degree=3),
+    "prediction_error": hi.PredictionError(
+        blocks=[{"kind": "polynomial", "degree": 3}, {"kind": "linear", "nb": 2, "nf": 1, "nk": 0}],
+        start="rest",
+    ),
+    "select": hi.Select(
+        by="bic", over={"lags": [2, 6]}, estimator={"kind": "two_stage", "delay": 0, "degree": 3}
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DISCRETE)
+def test_a_discrete_model_responds_at_its_own_interval_to_inputs_of_another(name):
+    system = hi.Hammerstein(nonlinearity=CUBIC, linear=LAG)
+    found = hi.fit(DISCRETE[name], hi.simulate(system, INPUT, 500, dt=0.5))
+    assert found.response is not None
+    u = np.linspace(-0.9, 0.9, 50)
+    y = found.response(u, 0.5)
+    np.testing.assert_array_equal(found.response(np.repeat(u, 2), 0.25)[::2], y)
+    np.testing.assert_array_equal(found.response(u, 1.0), found.response(np.repeat(u, 2), 0.5)[::2])
+    with pytest.raises(ValueError, match="do not divide each other"):
+        found.response(u, 0.3)
+
+
+def test_a_static_model_responds_at_any_interval():
+    static = hi.PredictionError(blocks=[{"kind": "polynomial", "degree": 3}])
+    found = hi.fit(
+        static, hi.simulate(hi.Hammerstein(nonlinearity=CUBIC, linear=hi.Fir(b=[1])), INPUT, 500, dt=0.5)
+    )
+    assert found.response is not None
+    u = np.linspace(-0.9, 0.9, 50)
+    for dt in (0.25, 0.3):
+        np.testing.assert_array_equal(found.response(u, dt), found.response(u, 0.5))
+
+
 def test_several_experiments_give_a_response_too():
     part = {"excitation": INPUT, "samples": 4000}
     several = hi.Experiments(parts=[{"name": "one", **part}, {"name": "two", **part}])

@@ -15,6 +15,7 @@ from hident.block_chain import Block, BlockChain, Start
 from hident.config.spec import Count, NonEmpty, Of, Spec, component
 from hident.errors import EstimationError
 from hident.estimators.base import CONTINUOUS, DISCRETE, AtOneInterval, require_usable, unknown_past
+from hident.estimators.discrete_response import at_step
 from hident.estimators.normalisation import MissedConstant, Normalisation, missed_constant, unit_static_gain
 from hident.estimators.prediction_error.block_specs import (
     BlockSpec,
@@ -29,7 +30,7 @@ from hident.estimators.prediction_error.standard_errors import names, normal_for
 from hident.estimators.prediction_error.starts import DEFAULT, Initialisation
 from hident.estimators.prediction_error.structure import ChainStructure
 from hident.fitted_model import Begun, FittedModel, NoiseModel, digest
-from hident.records import Estimate, Record
+from hident.records import Estimate, Record, Response
 from hident.sampled_blocks import SampledTransferFunction
 from hident.static_functions import StaticFunction
 from hident.systems.function_basis import Functions, Series
@@ -291,21 +292,24 @@ class PredictionError(AtOneInterval):
             begun=_begun(form, record),
         )
         chain = model.chain
-
-        def response(u: Any, dt: float) -> Any:
-            return (chain.every(dt) if chain.is_continuous else chain).response(u, "rest")
-
         [only] = chain.linear if len(chain.linear) == 1 else [None]
         continuous = only.continuous if isinstance(only, SampledTransferFunction) else None
         return Estimate(
             nonlinearity=chain.static[0] if len(chain.static) == 1 else None,
             linear=only if continuous is None else None,
             continuous=continuous,
-            response=response,
+            response=_response(chain),
             model=model,
             values={name: float(numbers[name]) for name in self.names()},
             details={"status": fit.status},
         )
+
+
+def _response(chain: BlockChain) -> Response:
+    """What the chain answers from rest; discrete blocks at their own interval."""
+    if chain.linear and not chain.is_continuous:
+        return at_step(chain.response, chain.dt or 1.0)
+    return lambda u, dt: (chain.every(dt) if chain.is_continuous else chain).response(u)
 
 
 def _seen(form: Parameters, data: Data) -> BlockChain:
