@@ -49,20 +49,21 @@ class _Table:
 def export(plan: Plan, folder: Path, file: Path, what: What = What.values) -> str:
     """Write what a plan gave to CSV or Parquet; returns a line that says so.
 
-    ConfigError if the name of the file ends otherwise, or a column has the name of an axis.
+    An axis that has the name of a column besides is named ``case NAME``. ConfigError if the name of the file
+    ends otherwise, or another axis is named so.
     """
     table = _TABLES[what]
     if file.suffix not in SUFFIXES:
         raise ConfigError(f"{file}: the name must end in {' or '.join(SUFFIXES)}")
-    if taken := [axis.name for axis in plan.axes if axis.name in table.columns]:
+    axes = [f"case {axis.name}" if axis.name in table.columns else axis.name for axis in plan.axes]
+    if taken := next((name for name in axes if axes.count(name) > 1), None):
         raise ConfigError(
-            f"{plan.path}: an export of {what} has a column '{taken[0]}' of its own: rename the axis"
+            f"{plan.path}: two columns of an export of {what} would be '{taken}': rename an axis"
         )
     pin_blas()
     with Store(folder).reading() as reader:
         plan = reached(plan, reader)
-        columns = [*(axis.name for axis in plan.axes), *table.columns]
-        rows = write_rows(file, columns, table.rows(plan, reader), texts=len(plan.axes))
+        rows = write_rows(file, [*axes, *table.columns], table.rows(plan, reader), texts=len(plan.axes))
         if what in (What.records, What.estimates):
             made = f"{counted(rows, 'row')} of {counted(plan.trials, 'trial')}"
             return f"{file}: {made}, made again from their seeds"

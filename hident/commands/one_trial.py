@@ -6,6 +6,7 @@ import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -270,6 +271,7 @@ def _write(
 ) -> list[str]:
     """Write the files of a trial; their names."""
     from hident.engine.estimate_curves import curves
+    from hident.reports.style import LINES
     from hident.reports.trial_figure import trial_figure
 
     suffix, files = "parquet" if parquet else "csv", []
@@ -299,8 +301,12 @@ def _write(
     write_rows(folder / files[-1], ("estimator", "metric", "value", "failure"), scores)
     if (record := realised.record) is not None:
         found = {name: list(curves(one)) for name, one in made.items()}
-        save_figure(folder / "trial.png", lambda: trial_figure(record, noise_free, found))
-        files.append("trial.png")
+        # No more estimates in one figure than can be told apart.
+        names, most = list(found), len(LINES)
+        for first_name in range(0, max(len(names), 1), most):
+            together = {name: found[name] for name in names[first_name : first_name + most]}
+            files.append(f"trial-{first_name // most + 1}.png" if first_name else "trial.png")
+            save_figure(folder / files[-1], partial(trial_figure, record, noise_free, together, trial.number))
     return files
 
 

@@ -11,7 +11,17 @@ import numpy as np
 from hident.arrays import Array
 from hident.engine.estimate_curves import Curve
 from hident.records import Record
-from hident.reports.style import DATA, LINES, TRUTH, few_log_ticks, legend_above, looks, marked, panel_grid
+from hident.reports.style import (
+    DATA,
+    LINES,
+    TRUTH,
+    few_log_ticks,
+    legend_above,
+    looks,
+    marked,
+    panel_grid,
+    write_below,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,10 +42,12 @@ _MOST = 1.5
 """How far, in units of the truth's range, an estimate is shown beyond it."""
 
 
-def trial_figure(record: Record, noise_free: Array | None, found: Mapping[str, Sequence[Curve]]) -> Figure:
+def trial_figure(
+    record: Record, noise_free: Array | None, found: Mapping[str, Sequence[Curve]], trial: int
+) -> Figure:
     """Input and output of a record, and a panel for each sort of curve of the estimates, by their names.
 
-    The output before noise is drawn where it is known.
+    The output before noise is drawn where it is known. The number of the ``trial`` stands below.
     """
     parts = [part for part in _NAMES if any(one.part == part for one in _all(found))]
     figure, (inputs, outputs, *panels) = panel_grid(2 + len(parts), 2, 3.4, 2.3)
@@ -51,6 +63,7 @@ def trial_figure(record: Record, noise_free: Array | None, found: Mapping[str, S
             axes.set_yscale("log")
         _panel(axes, shown, lines)
     legend_above(figure)
+    write_below(figure, f"trial {trial}")
     return figure
 
 

@@ -10,10 +10,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.image import imread
+from matplotlib.text import Text
 
+import hident as hi
 from hident import plugins
 from hident.engine.experiment import load
 from hident.engine.replay import OneTrial
+from hident.reports.trial_figure import trial_figure
 
 if TYPE_CHECKING:
     from tests.conftest import Lab
@@ -233,11 +236,40 @@ def test_what_cannot_be_exported(lab: Lab) -> None:
     said = lab.hident("export", "tiny.yaml", "x.csv", "--what", "estimate", code=2).stderr
     assert "'estimate' cannot be exported; did you mean 'estimates'?" in " ".join(said.split())
     noise: dict[str, Any] = {"kind": "white", "std": "$time"}
-    lab.configure(cases={"time": [0.1, 0.2]}, samples=50, noise=noise, tables={})
+    cases = {"time": [0.1, 0.2], "case time": {"one": {"samples": 50}}}
+    lab.configure(cases=cases, samples=50, noise=noise, tables={})
     said = lab.hident("export", "tiny.yaml", "x.csv", "--what", "records", code=2).stderr
     assert said == (
-        "error: tiny.yaml: an export of records has a column 'time' of its own: rename the axis\n"
+        "error: tiny.yaml: two columns of an export of records would be 'case time': rename an axis\n"
     )
+
+
+@pytest.mark.parametrize(("axis", "what"), [("input", "records"), ("x", "estimates")])
+def test_an_axis_with_the_name_of_a_column_is_told_from_it(lab: Lab, axis: str, what: str) -> None:
+    noise: dict[str, Any] = {"kind": "white", "std": f"${axis}"}
+    lab.configure(cases={axis: [0.1, 0.2]}, samples=50, noise=noise, tables={})
+    lab.run("-q")
+    lab.hident("export", "tiny.yaml", "x.csv", "--what", what)
+    rows = pd.read_csv(lab.folder / "x.csv")
+    assert set(rows[f"case {axis}"]) == {0.1, 0.2}
+    assert rows[axis].nunique() > 2
+
+
+def test_no_more_estimates_share_a_figure_than_can_be_told_apart(lab: Lab) -> None:
+    for count, figures in ((6, "trial.png"), (7, "trial.png, trial-2.png")):
+        known = {f"known {i}": {"kind": "known_dynamics", "a": [0.1 * i]} for i in range(count)}
+        lab.configure(estimators=known, tables={})
+        said = _show(lab, "--trial", "2", "--out", str(count)).splitlines()[-1]
+        assert said.endswith(f"scores.csv, {figures}")
+        assert sorted(path.name for path in (lab.folder / str(count)).rglob("*.png")) == sorted(
+            figures.split(", ")
+        )
+
+
+def test_the_figure_of_a_trial_says_its_number() -> None:
+    record = hi.Record(np.arange(3.0), np.arange(3.0))
+    texts = [text.get_text() for text in trial_figure(record, None, {}, 17).findobj(Text)]
+    assert "trial 17" in texts
 
 
 def test_each_trial_of_a_bootstrap_has_a_record_of_each_estimator(lab: Lab) -> None:
