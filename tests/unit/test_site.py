@@ -24,6 +24,7 @@ from hident.reports.site.build import build
 from hident.reports.site.facts import WORDS
 from hident.reports.site.pages import FRONT, Run, Sources, run_page
 from hident.reports.site.rendering import rendered
+from hident.reports.site.truths import truths
 from hident.reports.tables.writing import SIGNS
 from hident.run_folder import RunFolder
 from tests.accepted import RESULTS, ROOT
@@ -321,6 +322,37 @@ def test_symbols_are_set_as_such_in_titles_tables_and_cells(site, read):
     )
     variance = read["runs/mzyk_variance.html"]
     assert any("\N{GREEK SMALL LETTER SIGMA}z2=1" in text for text in variance.text_of("th"))
+
+
+def test_the_true_value_stands_in_the_details_of_an_estimated_one(read):
+    rows = rows_of("chen_table1")
+    details = {
+        one["attributes"]["id"]: one for one in read["runs/chen_table1.html"].of("div", class_="detail")
+    }
+    true = {"a3": "3", "a2": "4", "a1": "4", "b1": "-1"}
+    for i, row in enumerate(rows):
+        said = details[f"n{i + 1}"]["text"]
+        if row["quantity"] in true:
+            assert f"true value{true[row['quantity']]}" in said.replace("\n", "")
+        else:
+            # No true value of the system is the variance inflation of an estimate.
+            assert "true value" not in said
+
+
+def test_true_values_are_those_of_the_file_that_was_run(tmp_path):
+    plugins.load()
+    config = ROOT / "configs" / "chen_table1.yaml"
+    resolved = json.loads((RESULTS / "chen_table1" / RUN).read_bytes())["experiment"]["resolved"]
+    assert truths(config, resolved)["I", "case B", "stage 1 a_3"] == 3.0
+    assert truths(tmp_path / "nothing.yaml", resolved) == {}
+    assert truths(written(tmp_path, "broken.yaml", "version: ["), resolved) == {}
+    text = config.read_text(encoding="utf-8")
+    assert truths(config, {**resolved, "seed": 1}) == {}
+    # To load a file that names plugins is to run them.
+    ran = tmp_path / "ran"
+    written(tmp_path, "plugin.py", f"open({str(ran)!r}, 'w')")
+    assert truths(written(tmp_path, "plugged.yaml", f"plugins: [plugin.py]\n{text}"), resolved) == {}
+    assert not ran.exists()
 
 
 def test_every_method_of_ours_has_the_name_that_papers_use():

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from types import MappingProxyType
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from hident.arrays import Array
 from hident.config.suggest import counted
 from hident.ledger.judged import Judged
 from hident.ledger.power import VerdictPower
-from hident.ledger.trial_values import TrialValues
+from hident.ledger.trial_values import Key, TrialValues
 from hident.ledger.verdicts import KNOWN, OWN_DATA
 from hident.numerics.rounding import is_constant
 from hident.reports.site.remarks import Remarks
@@ -64,6 +65,8 @@ class Number:
     """What tells ours apart from others beside the same printed number; empty where it stands alone."""
     note: str = ""
     """What published.csv says of it."""
+    true: float | None = None
+    """The true value of what is estimated, where it is known."""
     is_misprint: bool = False
     """Whether the reason for its difference is that it is misprinted."""
 
@@ -218,8 +221,9 @@ def numbers_of(
     trials: TrialValues | None,
     remarks: Remarks | None = None,
     config: str = "",
+    truths: Mapping[Key, float] = MappingProxyType({}),
 ) -> Iterator[Number]:
-    """All numbers of a run, in the order of verdicts.csv."""
+    """All numbers of a run, in the order of verdicts.csv; ``truths`` are the true values of our series."""
     of = [trials.described_series(one.series) if trials and one.series else "" for one in judged]
     cases = _cases(judged, of)
     for i, one in enumerate(judged):
@@ -236,6 +240,7 @@ def numbers_of(
             excluding=tuple(name for name, excluded in known.excluded.items() if excluded) if known else (),
             case=cases[i],
             note=remarks.notes.get(one.key, "") if remarks else "",
+            true=truths.get(one.series) if one.series and one.statistic in ("mean", "median") else None,
             is_misprint=bool(remarks and remarks.is_misprint(config, one.key, one.word)),
         )
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from hident.config.spec import components
@@ -37,7 +38,7 @@ from hident.engine.trial import digest
 from hident.errors import ConfigError
 from hident.ledger.judged import as_number, judged, key_of
 from hident.ledger.published import PUBLISHED, REASONS
-from hident.ledger.trial_values import TrialValues
+from hident.ledger.trial_values import Key, TrialValues
 from hident.ledger.verdicts import LEVEL
 from hident.reports.failures import failures_of, records
 from hident.reports.page import Page as Content
@@ -56,6 +57,7 @@ from hident.reports.site.pages import (
     run_page,
 )
 from hident.reports.site.remarks import Remarks
+from hident.reports.site.truths import truths
 from hident.reports.style import PIXELS
 from hident.reports.tables.writing import SIGNS, written
 
@@ -96,9 +98,18 @@ def parts(sources: Sources) -> Iterator[Part]:
                 kinds,
                 [[str(p), h] for p, h in known.items()],
                 [sources.named(run.facts.config), _is_accepted(run, sources)],
+                _bytes_of(sources.configs / f"{run.facts.config}.yaml") if run.facts.tables else "",
             ]
         )
         yield Part(key, partial(_page, run, sources, shows, papers, elsewhere[run.name]), files)
+
+
+def _bytes_of(file: Path) -> str:
+    """SHA-256 of a file; empty where it cannot be read."""
+    try:
+        return sha256(file.read_bytes()).hexdigest()
+    except OSError:
+        return ""
 
 
 def _told_in(sources: Sources) -> dict[str, list[tuple[str, str]]]:
@@ -206,7 +217,8 @@ def _page(
     facts, path = run.facts, run_page(run.name)
     trials, astray = _trials(run)
     remarks = sources.remarks[facts.paper]
-    numbers, unreadable = _numbers(run, trials, remarks)
+    known = truths(sources.configs / f"{facts.config}.yaml", facts.resolved) if facts.tables else {}
+    numbers, unreadable = _numbers(run, trials, remarks, known)
     differing = _differing(numbers, facts, remarks)
     page_text = _text_of(run, PAGE)
     content = Content.read(page_text) if page_text else None
@@ -283,14 +295,19 @@ def _said(content: Content) -> Iterator[str]:
             yield paragraph
 
 
-def _numbers(run: Run, trials: TrialValues | None, remarks: Remarks) -> tuple[list[Number], list[str]]:
+def _numbers(
+    run: Run,
+    trials: TrialValues | None,
+    remarks: Remarks,
+    known: Mapping[Key, float] = MappingProxyType({}),
+) -> tuple[list[Number], list[str]]:
     """The printed numbers of a run; and what is wrong with their file."""
     verdicts = run.facts.verdicts
     if verdicts is None:
         return [], []
     try:
         rows = judged(run.folder.path / VERDICTS, verdicts.resolved, trials)
-        return list(numbers_of(rows, verdicts.power, trials, remarks, verdicts.config)), []
+        return list(numbers_of(rows, verdicts.power, trials, remarks, verdicts.config, known)), []
     except ConfigError as error:
         return [], [str(error).replace(f"{run.folder.path}/", "")]
 
