@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import threading
@@ -13,8 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote, urldefrag, urlsplit
 
+import numpy as np
 import pytest
 from filelock import FileLock
+from matplotlib.image import imread
 
 from hident import plugins
 from hident.reports.site.build import build
@@ -490,6 +493,22 @@ def test_a_figure_opens_large_and_closes(page: Page, site: Path) -> None:
 
 
 # The look
+
+
+@pytest.mark.parametrize("width", [NARROWEST, 1400])
+def test_a_shadow_stands_only_where_a_table_goes_on(page: Page, site: Path, width: int) -> None:
+    page.set_viewport_size({"width": width, "height": 900})
+    page.goto((site / "runs/brouri_ambiguity.html").as_uri())
+    seen: dict[bool, list[float]] = {}
+    for box in page.locator(".scroll").all():
+        goes_on = box.evaluate("box => box.scrollWidth > box.clientWidth + 4")
+        # Of the box alone, without what stands in it.
+        box.evaluate("box => { box.firstElementChild.style.visibility = 'hidden'; }")
+        pixels = imread(io.BytesIO(box.screenshot()), format="png")
+        # Where a pixel of the screenshot lies on the edge of the box, a line of its row may be mixed.
+        seen.setdefault(goes_on, []).append(float(np.ptp(pixels[2:-2], axis=1).max()))
+    assert not any(seen.get(False, [1.0]))
+    assert all(spread > 0.1 for spread in seen.get(True, []))
 
 
 def test_the_other_look_is_chosen_and_kept(page: Page, site: Path) -> None:
