@@ -225,12 +225,13 @@ class _Search:
             raise EstimationError(
                 f"a delay of {given} samples is too long: the shortest experiment has {shortest} to fit"
             )
-        for signal, name in ((parts.estimation.u, "input"), (parts.estimation.y, "output")):
-            fitted = signal[parts.estimation.counted]
+        # What the input was in the first samples shows in those that count.
+        counted = parts.estimation.y[parts.estimation.counted]
+        for fitted, name in ((parts.estimation.u, "input"), (counted, "output")):
             if not varies(fitted):
                 raise EstimationError(
                     f"the {name} is {fitted[0]:g} in all samples that are to be fitted, which tell nothing: "
-                    f"it varies only in others ({parts.said}, and the first ones)"
+                    f"it varies only in those to choose by ({parts.said}) or in the first ones"
                 )
         self.parts, self.by, self._tell = parts, by, tell
         self.trials: list[Trial] = []
@@ -251,9 +252,9 @@ class _Search:
                 self._grow(structure, n)
         wanted = self._wanted(structures)
         if not wanted:
-            reasons = [*self.functions.notes(structures), *(one.reason for one in self.trials if one.reason)]
-            reason = next(iter(reasons), "no structure was asked for")
-            raise EstimationError(f"nothing could be fitted: {reason}")
+            failed = [f"{one.structure}: {one.reason}" for one in self.trials if one.reason]
+            reasons = [*failed[:1], *self.functions.notes(structures)] or ["no structure was asked for"]
+            raise EstimationError(f"nothing could be fitted: {'; '.join(reasons)}")
         chosen = self._whole(wanted) if self.is_long else self._pruned(wanted)
         fit = chosen.fit
         assert fit is not None

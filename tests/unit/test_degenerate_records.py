@@ -42,6 +42,12 @@ def tried(u, y, *structures):
         (1.0 + 1e-15 * NOISE, Y, "the input is 1 throughout"),
         (LATE, TANK.filter(LATE), "the input is 1 in all samples that are to be fitted"),
         (U, np.r_[STILL, Y[HEAD:]], "the output is 1 in all samples that are to be fitted"),
+        # Before the samples that are fitted, in which a pole shows and nothing else.
+        (
+            np.roll(IMPULSE, -5),
+            TANK.filter(np.roll(IMPULSE, -5)),
+            "linear: the input .* tells 3 of 4 numbers",
+        ),
         (U[:1], Y[:1], "the input is"),
         (U[:3] + NOISE[:3], Y[:3], "are too few"),
         (np.full(len(U), np.nan), Y, "the input"),
