@@ -73,6 +73,11 @@ class Canvas:
         """Inches that a panel may be wide."""
         return (self.width or WIDTHS["page"] / _INCH) / self.columns
 
+    @property
+    def can_be_wider(self) -> bool:
+        """Whether another ``size`` than the one that is asked for is wider."""
+        return self.width is not None and self.width < WIDTHS["page"] / _INCH
+
     def fits(self, height: float) -> bool:
         """Whether rows of panels of a height in inches are no higher than the page."""
         return height * self.rows * _INCH <= _HEIGHT
@@ -113,9 +118,10 @@ class Canvas:
         wanted = figsize[0] * self.columns
         width = self.width or min(wanted, WIDTHS["page"] / _INCH)
         if width / (columns * self.columns) < _NARROWEST:
+            wider = "'size: page', or " if width < WIDTHS["page"] / _INCH else ""
             raise ValueError(
                 f"{columns * self.columns} panels side by side are too narrow in {width * _INCH:.0f} mm: "
-                "take 'size: page', or fewer columns"
+                f"take {wider}fewer columns"
             )
         height = min(max(width / wanted, _FLATTEST), _TALLEST) * figsize[1] * self.rows
         return width, min(height, _HEIGHT / _INCH)

@@ -356,15 +356,19 @@ def test_the_legend_and_the_labels_are_clear_of_the_panels(tmp_path):
         assert not any(box.padded(-1.0).overlaps(other.padded(-1.0)) for other in boxes[i + 1 :])
 
 
-def test_panels_that_are_too_narrow_are_not_drawn_and_said(tmp_path):
-    axes = "  sigma: [0.5, 1, 2, 3, 4]\n"
-    rest = CURVE.format(fields="facets: {columns: sigma}, size: column")
+@pytest.mark.parametrize(
+    ("size", "count", "remedy"),
+    [
+        ("size: column", 5, "in 88 mm: take 'size: page', or fewer columns)"),
+        ("size: page", 9, "in 180 mm: take fewer columns)"),
+    ],
+)
+def test_panels_that_are_too_narrow_are_not_drawn_and_said(tmp_path, size, count, remedy):
+    axes = f"  sigma: {[*range(1, count + 1)]}\n"
+    rest = CURVE.format(fields=f"facets: {{columns: sigma}}, {size}")
     results = made(tmp_path, {}, rest=NOISE + rest, axes=axes)
     [said] = Outputs(results.plan, tmp_path / "out").write(results, {})
-    assert said.endswith(
-        "figures.f: cannot be drawn (5 panels side by side are too narrow in 88 mm: take 'size: page', or "
-        "fewer columns)"
-    )
+    assert said.endswith(f"figures.f: cannot be drawn ({count} panels side by side are too narrow {remedy}")
 
 
 def test_panels_of_a_figure_are_repeated_with_common_limits(tmp_path):

@@ -187,13 +187,14 @@ class _Layout:
         if (paper := canvas()) is None:
             return cls._of(pairs, sign, rows, most, failures, None)
         every = [cls._of(pairs, sign, rows, n, failures, paper.room) for n in range(most, 0, -1)]
+        wider = "take a wider 'size', " * paper.can_be_wider
         if not (wide := [one for one in every if one.panel >= _NARROWEST]):
             raise ValueError(
                 f"beside the labels of its rows a panel has {25.4 * max(every[-1].panel, 0.0):.0f} mm of "
-                f"{25.4 * paper.room:.0f}: take a wider 'size', hold labels with 'at', or give shorter ones"
+                f"{25.4 * paper.room:.0f}: {wider}hold labels with 'at', or give shorter ones"
             )
         lowest = min(wide, key=lambda one: one.height)
-        paper.fit(lowest.height, "take a wider 'size', hold labels with 'at', or name fewer estimators")
+        paper.fit(lowest.height, f"{wider}hold labels with 'at', or name fewer estimators")
         short = [one for one in wide if one.lines <= 2 * _LINES and paper.fits(one.height)]
         return (short or [lowest])[0]
 
@@ -344,9 +345,10 @@ class CriticalDifferences(_OfComparison):
         longest = max(len(word) for text in words for word in text.split())
         letters = max(int((width - _SCALE) / 2.0 / _LETTER), longest)
         if (left := width - 2.0 * letters * _LETTER) < _NARROWEST:
+            wider = "take a wider 'size', " * (paper is not None and paper.can_be_wider)
             raise ValueError(
                 f"beside the names of the methods the scale has {25.4 * max(left, 0.0):.0f} mm of "
-                f"{25.4 * width:.0f}: repeat it over 'rows', take a wider 'size', or give shorter names"
+                f"{25.4 * width:.0f}: repeat it over 'rows', {wider}or give shorter names"
             )
         said = [wrapped(text, letters) for text in words]
         # One line has the place of one.
