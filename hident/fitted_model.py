@@ -159,7 +159,8 @@ class FittedModel:
         Raises
         ------
         ValueError
-            If an input is not of shape (N,), or :meth:`level` raises one.
+            If an input is not of shape (N,), if a record has not the sampling interval of discrete blocks, or
+            :meth:`level` raises one.
         """
         made = self.signals(record)[-1]
         add = self.shifts(record)[1] if isinstance(record, Record) else self.offsets[1]
@@ -168,8 +169,13 @@ class FittedModel:
     def _for(self, record: Record) -> BlockChain:
         """The chain for a record's samples: continuous blocks have some at any interval."""
         dt, own = record.dt, self.chain.dt
-        if dt is None or own is None or not self.chain.is_continuous or abs(dt - own) <= _SAME * own:
+        if dt is None or own is None or not self.chain.linear or abs(dt - own) <= _SAME * own:
             return self.chain
+        if not self.chain.is_continuous:
+            raise ValueError(
+                f"the model's linear blocks are discrete, for samples every {own:g}, and the record has one "
+                f"every {dt:g}: resample it, or leave out its dt to take its samples as the model's"
+            )
         return self.chain.every(dt)
 
     def every(self, dt: float) -> FittedModel:
