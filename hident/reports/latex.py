@@ -28,7 +28,16 @@ _PLAIN = re.compile(_NUMBER)
 _EMPTY = ("", "-", "nan", "inf", "none")
 # What may stand in a cell of numbers, between spaces.
 _PIECE = re.compile(rf"(?P<open>\[?)(?P<number>{_NUMBER})(?P<close>[\],]?)")
-_SIGNS = {"±": r"$\pm$", ">=": r"$\geq$", "<=": r"$\leq$", "=": "$=$", "~": r"$\sim$", "?": "?", "!": "!"}
+_SIGNS = {
+    "±": r"$\pm$",
+    ">=": r"$\geq$",
+    "<=": r"$\leq$",
+    "=": "$=$",
+    "~": r"$\sim$",
+    "?": "?",
+    "!": "!",
+    "†": r"$\dagger$",
+}
 _PERCENTILE = re.compile(r"p\d+")
 # Mathematics without dollars; the last is code.
 _NAMES = "alpha beta gamma delta epsilon zeta eta theta lambda mu nu xi rho sigma tau phi psi omega"
@@ -62,6 +71,7 @@ _ESCAPED = {
     "\N{EN DASH}": "--",
     "—": "---",
     "…": r"\ldots{}",
+    "†": r"$\dagger$",
     "µ": r"$\mu$",
     **{char: f"\\{char}" for char in "&%$#_{}"},
 }

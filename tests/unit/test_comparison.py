@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.axis import XTick
-from matplotlib.text import Text
+from matplotlib.text import Annotation, Text
 
 from hident import plugins
 from hident.config.spec import components
@@ -68,7 +68,8 @@ def test_a_pair_has_its_difference_with_an_interval_its_wins_and_a_test(tmp_path
         "trials in which the first has the lower value of 'mise', ties counting half.",
         "Better: by Wilcoxon's signed-rank test of the differences at 5 %, adjusted by Holm over the 3 tests "
         "of this table.",
-        "Rank: one more than the number of methods that are better in that case.",
+        "Rank: one more than the number of methods that are better in that case; those that the test does "
+        "not tell apart share one.",
     )
 
 
@@ -91,15 +92,65 @@ def test_failures_are_losses_and_are_said(tmp_path):
         "and as tied where both failed, and are left out of means."
     )
     # The two trials that are left speak for the other.
-    assert found.notes[4] == (
-        "The mean points to the other method than the test: one and two at samples 10 have "
-        "one method that wins most trials and another that is better on average."
+    assert cells(found, "mean difference [95 %]", "failed") == [
+        ("0.100 [0.100, 0.100] †", "0, 10 of 12"),
+        ("0 [0, 0]", "0, 0 of 12"),
+        ("0 [0, 0]", "0, 0 of 12"),
+    ]
+    assert found.notes[4:] == (
+        "† The mean is of the trials in which neither failed, and says something else than the test, for "
+        "which the others count too: one and two at samples 10 have failures that decide.",
     )
     median = built(made(tmp_path, values, rest=table("statistic: median")))
     assert cells(median, "median difference [95 %]")[0] == ("-inf [-inf, -inf]",)
     assert median.notes[3].endswith("as tied where both failed, and are infinite in medians.")
-    ranked = built(made(tmp_path, values, rest=table("statistic: median, show: ranks")))
-    assert ranked.notes[3].endswith("as tied where both failed, and are left out in brackets.")
+    assert len(median.notes) == 4
+
+
+@pytest.mark.parametrize(("failed", "better"), [(0, "one"), (3, "tied"), (6, "two")])
+def test_a_row_says_why_its_interval_and_its_test_differ(tmp_path, failed, better):
+    one = scores(8)
+    values = {("one", "10"): np.where(np.arange(8) < failed, NAN, one), ("two", "10"): 1.1 * one}
+    found = built(made(tmp_path, values, rest=table("of: log_ratio, at: {samples: 10}")))
+    shown = "0.909 [0.909, 0.909]" + " †" * (failed > 0)
+    assert cells(found, "geometric mean ratio [95 %]", "better") == [(shown, better)]
+
+
+def test_an_interval_without_equality_may_stand_beside_a_tie(tmp_path):
+    one = scores(7)
+    values = {("one", n): one for n in ("10", "100")} | {("two", "10"): one + np.r_[-0.1, np.full(6, 0.5)]}
+    found = built(made(tmp_path, values, rest=table()))
+    assert cells(found, "better")[0] == ("tied",)
+    assert found.notes[3] == (
+        "Tied beside an interval without 0: one and two at samples 10 have an interval for that pair by "
+        "itself, and a p-value that is adjusted for all."
+    )
+
+
+RANKED = [
+    ("median", [1.0, 2.0, 3.0, 4.0], "(2.50)"),
+    ("median", [1.0, 2.0, NAN, NAN], "(inf, 2 of 4 failed)"),
+    ("median", [1.0, 2.0, 3.0, NAN], "(2.50, 1 of 4 failed)"),
+    ("median", [NAN, NAN, NAN, NAN], "(inf, 4 of 4 failed)"),
+    ("mean", [1.0, 2.0, 3.0, NAN], "(2.00, 1 of 4 failed)"),
+    ("mean", [NAN, NAN, NAN, NAN], "(-, 4 of 4 failed)"),
+    ("median, best: highest", [1.0, 2.0, NAN, NAN], "(-inf, 2 of 4 failed)"),
+    ("median, best: zero", [-1.0, 2.0, -3.0, NAN], "(2.50, 1 of 4 failed)"),
+]
+
+
+@pytest.mark.parametrize(("statistic", "values", "shown"), RANKED)
+def test_the_brackets_of_ranks_count_failures_as_the_statistic_does(tmp_path, statistic, values, shown):
+    rest = table(f"show: ranks, statistic: {statistic}")
+    found = built(made(tmp_path, {("one", "10"): values}, rest=rest))
+    assert found.rows[0][1].partition(" ")[2] == shown
+    counted = (
+        "a failed trial counting as infinite"
+        if "median" in statistic
+        else "over the trials that did not fail"
+    )
+    size = " of the moduli" if "zero" in statistic else ""
+    assert f"In brackets the {statistic.split(',')[0]}{size} of mise, {counted}." in found.notes
 
 
 @pytest.mark.parametrize(
@@ -118,7 +169,7 @@ def test_failures_are_losses_and_are_said(tmp_path):
 def test_few_trials_have_text_that_makes_sense(tmp_path, first, second, shown, of):
     results = made(tmp_path, {("one", "10"): first, ("two", "10"): second}, rest=table(f"of: {of}"))
     found = built(results)
-    assert found.rows[0][4:7] == shown[1:]
+    assert cells(found, "wins", "adjusted p", "better")[0] == shown[1:]
     if of == "difference":
         assert found.rows[0][3] == shown[0]
     count = "One trial tells" if len(first) == 1 else "2 trials tell"
@@ -430,11 +481,25 @@ def test_paired_differences_show_trials_intervals_and_failures(tmp_path, of):
     np.testing.assert_allclose(np.log(shown) if of == "of: log_ratio" else shown, expected)
     assert len(lines["a trial"]) == 3
     statistic = {"statistic: median": "median", "of: log_ratio": "geometric mean"}.get(of, "mean")
-    assert len(lines[f"{statistic}, 95 % interval; told apart"]) == 1
+    (told,) = lines[f"{statistic}, 95 % interval; first is better"]
+    # The better one has the lower values.
+    assert told.get_marker() == "<"
+    without = "interval without the trials in which one failed"
+    assert (without in lines) == (statistic != "median")
     assert len(lines[f"{statistic}, 95 % interval; tied"]) == 2
-    assert [text.get_text() for text in axes.texts] == ["0, 2 failed"]
+    (strip,) = axes.child_axes
+    assert [text.get_text() for text in strip.texts] == ["0, 2"]
+    assert strip.get_xlabel() == "failed\nof 12"
     assert [tick.get_text() for tick in axes.get_yticklabels()] == [f"samples {n}" for n in (10, 100, 1000)]
     assert axes.get_title() == ("one / two" if of == "of: log_ratio" else "one \N{MINUS SIGN} two")
+
+
+@pytest.mark.parametrize(("first", "arrows"), [([1.0, 2.0], 2), ([1.0] * 30 + [2.0] * 30, 0)])
+def test_an_interval_that_goes_on_beyond_the_panel_ends_in_arrows(tmp_path, first, arrows):
+    results = made(tmp_path, {("one", "10"): first}, rest=PAIRED.replace("OF", "at: {samples: 10}"))
+    (axes,) = (axes for axes in drawn(results).axes if axes.get_visible())
+    ends = [text.xy[0] for text in axes.texts if isinstance(text, Annotation) and text.arrow_patch]
+    assert ends == [*axes.get_xlim()][:arrows]
 
 
 @pytest.mark.parametrize(
@@ -485,7 +550,7 @@ def test_a_figure_tells_apart_what_its_table_does_whatever_part_it_shows(tmp_pat
         shown = figure.drawn(results, [])
     labels = [str(line.get_label()) for axes in shown.axes for line in axes.get_lines()]
     assert labels.count("mean, 95 % interval; tied") == (1 if "at" in of_figure[:2] else 3)
-    assert "mean, 95 % interval; told apart" not in labels
+    assert not any("is better" in label for label in labels)
 
 
 def test_a_figure_of_labels_that_its_table_leaves_out_is_refused(tmp_path):

@@ -100,6 +100,12 @@ def test_numbers_among_signs_are_set_by_siunitx_and_verdicts_keep_their_marks():
     assert second == [r"\num{2009}", "--", r"\num{-0.9} ! $\pm$ \num{0.1} ?", "--", "", "none", "N=100"]
 
 
+def test_the_dagger_of_a_comparison_is_set():
+    ((cell, words),) = rows(Table("T", ("a", "b"), (("0.353 [0.155, 0.803] †", "† of survivors"),)))
+    assert cell == r"\num{0.353} [\num{0.155}, \num{0.803}] $\dagger$"
+    assert words == r"$\dagger$ of survivors"
+
+
 def test_a_caption_says_trials_seed_and_statistic(tmp_path):
     results = made(tmp_path, {}, rest=GRID)
     spec = results.plan.experiment.tables["errors_of_both"]

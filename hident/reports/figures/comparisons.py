@@ -28,7 +28,7 @@ from hident.reports.style import (
     legend_above,
     subplots,
 )
-from hident.reports.tables.comparison import Case, Comparison, Versus, series_of_units
+from hident.reports.tables.comparison import Case, Comparison, Versus, as_compared, series_of_units
 from hident.reports.tables.writing import written
 
 if TYPE_CHECKING:
@@ -55,6 +55,8 @@ _WIDE, _SCALE, _HEADING = 6.4, 1.2, 0.064
 _SEVERAL_DECADES = 100.0
 _MANY_DECADES = 1e4
 _TOLD: Look = {"color": "black", "marker": "o", "linestyle": "none", "markersize": 5, "zorder": 5}
+_FAILED = "failed"
+_PARTIAL = (0, (1, 0.8))
 _TIED: Look = {**_TOLD, "markerfacecolor": "white"}
 
 
@@ -80,9 +82,11 @@ class _OfComparison(FigureSpec):
 class PairedDifferences(_OfComparison):
     """The differences or ratios of a table of kind comparison: a panel for each pair, a row for each case.
 
-    A grey point is a trial in which neither method failed; how often each failed stands at the right. Over
-    them stands the table's statistic with its interval, hollow where the test of the table tells nothing: its
-    p-values are adjusted over the whole table, of which the figure may show a part.
+    A grey point is a trial in which neither method failed; how often each failed stands in a strip at the
+    right. Over them stands the table's statistic with its interval: a triangle that points to the better
+    method by the test of the table, a hollow circle where it tells nothing. Its p-values are adjusted over
+    the whole table, of which the figure may show a part. An interval is dotted if it leaves out trials in
+    which a method failed, as that of a mean does, and has an arrow where it goes on beyond the panel.
     """
 
     x_label: str
@@ -101,7 +105,7 @@ class PairedDifferences(_OfComparison):
         figure, grid = layout.axes(len(pairs))
         for title, some, axes in zip(layout.titles, pairs.values(), grid.flat, strict=False):
             axes.set_title(title, fontsize="small")
-            self._panel(axes, some, {id(case): i for i, case in enumerate(cases)}, source, layout.panel)
+            self._panel(axes, some, {id(case): i for i, case in enumerate(cases)}, source, layout)
         grid.flat[0].set_ylim(len(cases) - 0.4, -0.6)
         for axes in grid[:, 0]:
             axes.set_yticks(range(len(cases)), layout.labels, fontsize="small")
@@ -119,7 +123,7 @@ class PairedDifferences(_OfComparison):
         some: Sequence[Versus],
         place: Mapping[int, int],
         source: Comparison,
-        width: float,
+        layout: _Layout,
     ) -> None:
         ratios = source.of == "log_ratio"
         if ratios:
@@ -138,27 +142,67 @@ class PairedDifferences(_OfComparison):
             y = place[id(one.case)]
             estimate, low, high = np.exp(one.interval) if ratios else np.array(one.interval)
             if np.isfinite([low, high]).any() or np.isinf([low, high]).all():
-                interval = np.clip([low, high], left, right), [y, y]
-                axes.plot(*interval, label="_95 % interval", color="black", linewidth=1.4, zorder=4)
+                _draw_interval(axes, (low, high), (left, right), y, partial=one.leaves_out)
             if np.isfinite(estimate):
                 geometric = "geometric " * (ratios and source.statistic == "mean")
-                told = "told apart" if one.side else "tied"
+                told = {1: "first is better", -1: "second is better", 0: "tied"}[one.side]
                 words = f"{geometric}{source.statistic}, 95 % interval; {told}"
-                axes.plot(estimate, y, label=words, **(_TOLD if one.side else _TIED))
-            if any(one.pair.failed):
-                axes.annotate(
-                    _failures(one),
-                    (1.0, y),
-                    xycoords=("axes fraction", "data"),
-                    xytext=(3, 0),
-                    textcoords="offset points",
-                    va="center",
-                    fontsize="x-small",
-                )
+                axes.plot(estimate, y, label=words, **_look(one))
         axes.set_xlim(left, right)
         if ratios:
-            _ratio_ticks(axes, left, right, width)
+            _ratio_ticks(axes, left, right, layout.panel)
         axes.grid(visible=False, axis="y")
+        if any(any(one.pair.failed) for one in some):
+            self._strip(axes, some, place, layout.strip / layout.panel)
+
+    def _strip(self, axes: Axes, some: Sequence[Versus], place: Mapping[int, int], share: float) -> None:
+        """How often each method of each row failed, in a strip that joins the panel at the right."""
+        strip = axes.inset_axes((1.0, 0.0, share, 1.0), facecolor="0.95", sharey=axes)
+        strip.set_xticks([])
+        strip.tick_params(left=False, labelleft=False)
+        strip.grid(visible=False)
+        strip.spines[:].set_visible(False)
+        strip.set_xlabel(f"{_FAILED}\nof {len(some[0].pair.outcomes)}", fontsize="x-small", labelpad=4)
+        for one in some:
+            if any(one.pair.failed):
+                strip.text(
+                    0.5, place[id(one.case)], _failures(one), ha="center", va="center", fontsize="x-small"
+                )
+
+
+def _look(one: Versus) -> Look:
+    """The look of a statistic: a triangle towards the values that are good of the better method."""
+    if not one.side:
+        return _TIED
+    to_left = (one.side > 0) != (one.best == "highest")
+    return _TOLD | {"marker": "<" if to_left else ">"}
+
+
+def _draw_interval(
+    axes: Axes, ends: tuple[float, float], limits: tuple[float, float], y: float, *, partial: bool
+) -> None:
+    """An interval, with an arrow where it goes on beyond the panel."""
+    shown = np.clip(ends, *limits)
+    words = "_95 % interval"
+    look: Look = {"color": "black", "linewidth": 1.4, "zorder": 4}
+    if partial:
+        words, look["linestyle"] = "interval without the trials in which one failed", _PARTIAL
+    axes.plot(shown, [y, y], label=words, **look)
+    for end, edge, sign in zip(ends, limits, (-1, 1), strict=True):
+        if sign * (end - edge) > 0:
+            axes.annotate(
+                "",
+                (edge, y),
+                xytext=(-7 * sign, 0),
+                textcoords="offset points",
+                arrowprops={
+                    "arrowstyle": "-|>,head_width=0.22,head_length=0.4",
+                    "color": "black",
+                    "shrinkA": 0,
+                    "shrinkB": 0,
+                },
+                zorder=4,
+            )
 
 
 def _names(cases: Sequence[Case]) -> list[str]:
@@ -173,6 +217,7 @@ class _Layout:
 
     columns: int
     panel: float
+    strip: float
     width: float
     height: float
     lines: int
@@ -213,7 +258,8 @@ class _Layout:
         beside = _LETTER * max(len(line) for lines in labels for line in lines)
         # A title may stand over the failures, too.
         above = (width - beside) / columns - _GAP
-        panel = above - _SMALL_LETTER * failures
+        strip = _SMALL_LETTER * (max(failures, len(_FAILED)) + 1) if failures else 0.0
+        panel = above - strip
         titles = [_title(*pair, sign, int(above / _LETTER)) for pair in pairs]
         lines = max(map(len, titles))
         row = max(_ROW, _LINE * max(map(len, labels)) + 0.06)
@@ -224,7 +270,7 @@ class _Layout:
             over, around = _LINE * lines, _AROUND[1] + 4 * _LINE
         height = (row * len(rows) + _AROUND_ROWS + over) * -(-len(pairs) // columns) + around
         joined = [["\n".join(lines) for lines in some] for some in (titles, labels)]
-        return cls(columns, panel, width, height, lines, *joined)
+        return cls(columns, panel, strip, width, height, lines, *joined)
 
     def axes(self, count: int) -> tuple[Figure, Any]:
         """The figure and the rows of its axes."""
@@ -244,7 +290,7 @@ def _title(first: str, second: str, sign: str, letters: int) -> list[str]:
 
 
 def _failures(one: Versus) -> str:
-    return f"{one.pair.failed[0]}, {one.pair.failed[1]} failed"
+    return f"{one.pair.failed[0]}, {one.pair.failed[1]}"
 
 
 def _failed(pairs: Mapping[tuple[str, str], Sequence[Versus]]) -> int:
@@ -318,14 +364,9 @@ class CriticalDifferences(_OfComparison):
         series, best = series_of_units(results, source.metric), source.best_of(results.plan)
         names = source.named(results.plan)
         rows = [[series[id(case.units[name])].values for name in names] for case in self._cases(results.plan)]
-        values = np.array(rows)
-        failed = dict(zip(names, np.sum(~np.isfinite(values), axis=(0, 2)).tolist(), strict=True))
-        if best == "zero":
-            values = np.abs(values)
-        elif best == "highest":
-            values = -values
-        # The upper of the two middle ones where one of them is infinite, and their mean has no meaning.
-        return np.median(np.where(np.isfinite(values), values, np.inf), axis=2), failed
+        values = as_compared(np.array(rows), best or "lowest")
+        failed = dict(zip(names, np.sum(np.isinf(values), axis=(0, 2)).tolist(), strict=True))
+        return np.median(-values if best == "highest" else values, axis=2), failed
 
     def draw(self, results: Results, verdicts: Sequence[Verdict]) -> Figure:
         source = self.comparison(results.plan)

@@ -6,10 +6,13 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from hident.arrays import Array
 from hident.config.references import CaseLabels, EstimatorName, MetricLabel
 from hident.config.spec import Count, Real, component
 from hident.config.suggest import counted, one_of
@@ -29,6 +32,8 @@ from hident.signals.streams import ROLES_OF_DATA
 if TYPE_CHECKING:
     import pandas as pd
 
+Statistic = Literal["mean", "median"]
+_OF_SURVIVORS = "†"
 _BEST: Mapping[Best, str] = {
     "lowest": "lower value of",
     "highest": "higher value of",
@@ -56,8 +61,14 @@ class Versus:
     first: str
     second: str
     pair: Pair
-    interval: Interval
+    statistic: Statistic
+    best: Best
     adjusted: float = float("nan")
+
+    @cached_property
+    def interval(self) -> Interval:
+        """The statistic of the differences with its interval."""
+        return self.pair.interval(self.statistic)
 
     @property
     def units(self) -> tuple[int, int]:
@@ -73,6 +84,32 @@ class Versus:
     def better(self) -> str:
         """The name of the better method; empty where the two are tied."""
         return {1: self.first, -1: self.second, 0: ""}[self.side]
+
+    @property
+    def leaves_out(self) -> bool:
+        """Whether the statistic leaves out trials, as one of the methods failed there."""
+        return self.statistic == "mean" and any(self.pair.failed)
+
+    @property
+    def speaks_for(self) -> int:
+        """1 where the statistic speaks for the first method, -1 for the second, 0 for neither."""
+        return self._side(self.interval.estimate)
+
+    @property
+    def interval_tells(self) -> int:
+        """The same where the whole interval does."""
+        low, high = (self._side(end) for end in (self.interval.low, self.interval.high))
+        return low if low == high else 0
+
+    @property
+    def is_of_survivors(self) -> bool:
+        """Whether the statistic says what the test does not, as it leaves out trials that failed."""
+        against = self.side * self.speaks_for < 0 or (self.interval_tells and not self.side)
+        return self.leaves_out and bool(against)
+
+    def _side(self, difference: float) -> int:
+        good = difference if self.best == "highest" else -difference
+        return 0 if math.isnan(good) else int(math.copysign(good != 0.0, good))
 
 
 @component("table", "comparison")
@@ -92,7 +129,7 @@ class Comparison(TableSpec):
     """The estimator that all others are compared with; each with each by default."""
     of: Literal["difference", "log_ratio"] = "difference"
     """What is taken of a pair: the first value less the second, or the logarithm of their ratio."""
-    statistic: Literal["mean", "median"] = "mean"
+    statistic: Statistic = "mean"
     """What the interval is of; the median counts failures as infinite, the mean leaves them out."""
     best: Best | None = None
     """Which values are good: lowest, highest or zero; by default as the metric says."""
@@ -245,7 +282,7 @@ class Comparison(TableSpec):
                 pair = paired(
                     values[first], values[second], best=best, log=self.of == "log_ratio", equal=self.equal
                 )
-                found.append(Versus(case, first, second, pair, pair.interval(self.statistic)))
+                found.append(Versus(case, first, second, pair, self.statistic, best))
         return found
 
     def _pairs(self, names: Iterable[str]) -> Iterator[tuple[str, str]]:
@@ -288,7 +325,13 @@ class Comparison(TableSpec):
         geometric = "geometric " * (self.statistic == "mean" and self.of == "log_ratio")
         what = f"{geometric}{self.statistic} {'difference' if self.of == 'difference' else 'ratio'}"
         all_pairs = self.reference is None
-        header = ("first", "second", f"{what} [95 %]", "wins", "adjusted p", "better")
+        # Without the failures a ratio and a test that count them otherwise could not be read together.
+        failed = any(any(one.pair.failed) for one in found)
+        header = (
+            *("first", "second", f"{what} [95 %]"),
+            *["failed"] * failed,
+            *("wins", "adjusted p", "better"),
+        )
         rows = []
         for one in found:
             own = ranked[id(one.case)]
@@ -298,6 +341,7 @@ class Comparison(TableSpec):
                     one.first,
                     one.second,
                     self._written(one),
+                    *[_failed(one)] * failed,
                     f"{100.0 * one.pair.win_rate:.0f} %",
                     written(one.adjusted, 2),
                     one.better or "tied",
@@ -315,8 +359,16 @@ class Comparison(TableSpec):
         def cell(case: Case, name: str) -> str:
             if name not in case.units:
                 return "-"
-            value = series[id(case.units[name])].statistics[self.statistic]
-            return f"{ranked[id(case)][name]} ({written(value, self.digits)})"
+            values = as_compared(series[id(case.units[name])].values, found[0].best)
+            worked = values[np.isfinite(values)]
+            if self.statistic == "median":
+                value = float(np.median(values))
+            else:
+                value = float(np.mean(worked)) if len(worked) else float("nan")
+            shown = f"{value:.0f}" if math.isinf(value) else written(value, self.digits)
+            if failed := len(values) - len(worked):
+                shown += f", {failed} of {len(values)} failed"
+            return f"{ranked[id(case)][name]} ({shown})"
 
         cases = list({id(one.case): one.case for one in found}.values())
         rows = ((*map(str, case.labels.values()), *(cell(case, name) for name in names)) for case in cases)
@@ -326,7 +378,8 @@ class Comparison(TableSpec):
         """The statistic of a pair with its interval, ratios as such."""
         shown = map(math.exp, one.interval) if self.of == "log_ratio" else one.interval
         estimate, *ends = (_with_infinity(value, self.digits) for value in shown)
-        return f"{estimate} [{', '.join(ends)}]" if ends != ["-", "-"] else estimate
+        whole = f"{estimate} [{', '.join(ends)}]" if ends != ["-", "-"] else estimate
+        return f"{whole} {_OF_SURVIVORS}" if one.is_of_survivors else whole
 
     def _notes(self, results: Results, tests: int) -> Iterator[str]:
         """What the columns mean."""
@@ -351,9 +404,18 @@ class Comparison(TableSpec):
             f"the {counted(tests, 'test')} of this table."
         )
         if self.reference is None:
-            yield "Rank: one more than the number of methods that are better in that case."
+            yield (
+                "Rank: one more than the number of methods that are better in that case; those that the test "
+                "does not tell apart share one."
+            )
         if self.show == "ranks":
-            yield f"In brackets the {self.statistic} of {self.metric} over the trials that did not fail."
+            size = " of the moduli" if best == "zero" else ""
+            counted = (
+                "a failed trial counting as infinite"
+                if self.statistic == "median"
+                else "over the trials that did not fail"
+            )
+            yield f"In brackets the {self.statistic}{size} of {self.metric}, {counted}."
         if 0 < trials < (least := trials_to_tell(tests)):
             count = "One trial tells" if trials == 1 else f"{counted(trials, 'trial')} tell"
             yield f"{count} no two methods apart, whatever they give: {tests} tests take at least {least}."
@@ -372,9 +434,22 @@ class Comparison(TableSpec):
                 f"A single trial makes more than half of the spread: {_of_pairs(heavy, found)} a mean and an "
                 "interval that hang on it; the median does not."
             )
-        sign = -1 if (self.best_of(results.plan)) == "highest" else 1
-        other = [one for one in found if one.side and one.side * sign * one.interval.estimate > 0.0]
-        if other:
+        in_pairs = self.show == "pairs"
+        if survivors := [one for one in found if one.is_of_survivors]:
+            sign = f"{_OF_SURVIVORS} " * in_pairs
+            yield (
+                f"{sign}The {self.statistic} is of the trials in which neither failed, and says something "
+                f"else than the test, for which the others count too: {_of_pairs(survivors, found)} failures "
+                "that decide."
+            )
+        tied = [one for one in found if one.interval_tells and not one.side and not one.is_of_survivors]
+        if tied and in_pairs:
+            equal = 1 if self.of == "log_ratio" else 0
+            yield (
+                f"Tied beside an interval without {equal}: {_of_pairs(tied, found)} an interval for that "
+                "pair by itself, and a p-value that is adjusted for all."
+            )
+        if other := [one for one in found if one.side * one.speaks_for < 0 and not one.leaves_out]:
             yield (
                 f"The {self.statistic} points to the other method than the test: {_of_pairs(other, found)} "
                 "one method that wins most trials and another that is better on average."
@@ -394,7 +469,7 @@ class Comparison(TableSpec):
         if said:
             how = "left out of means" if self.statistic == "mean" else "infinite in medians"
             if self.show == "ranks":
-                how = "left out in brackets"
+                how += " in brackets"
             yield (
                 f"Failed trials: {'; '.join(said)}. They count as lost against a method that did not fail, "
                 f"and as tied where both failed, and are {how}."
@@ -445,6 +520,12 @@ def ranks(pairs: Sequence[Versus]) -> dict[str, int]:
     return {name: 1 + worse.count(name) for name in pairs[0].case.units}
 
 
+def as_compared(values: Array, best: Best) -> Array:
+    """The values of trials as they are compared: a failure is worst, and moduli count where zero is best."""
+    sizes = np.abs(values) if best == "zero" else values
+    return np.where(np.isfinite(values), sizes, -np.inf if best == "highest" else np.inf)
+
+
 def series_of_units(results: Results, metric: str) -> dict[int, Series]:
     """The series of a metric by the ``id`` of their units."""
     return {id(one.unit): one for one in results.series if one.metric == metric}
@@ -452,6 +533,11 @@ def series_of_units(results: Results, metric: str) -> dict[int, Series]:
 
 def _tests(found: Iterable[Versus]) -> int:
     return sum(not math.isnan(one.pair.p) for one in found)
+
+
+def _failed(one: Versus) -> str:
+    """How often each of two methods failed."""
+    return f"{one.pair.failed[0]}, {one.pair.failed[1]} of {len(one.pair.outcomes)}"
 
 
 def _of_pairs(some: Sequence[Versus], found: Sequence[Versus]) -> str:
