@@ -47,7 +47,7 @@ def print_numbers(console: Console, run: FoundRun, results: Path) -> None:
             score = "" if not state.tried else f"alternatives rejected: {state.score}"
             said = "; ".join(filter(None, (joint, score)))
         console.print(text_of(f"{name}{f': {said}' if said else ''}", "bold"))
-        rows = [(_name(run, one), *_of_number(one)) for one in numbers]
+        rows = [(_name(one), *_of_number(one)) for one in numbers]
         histograms = [_histogram_of(run, one) for one in numbers]
         _print_rows(console, ("", _PRINTED, "", "ours [interval]", "excludes", "flips"), rows, histograms)
         if state is not None and state.survivors:
@@ -104,13 +104,9 @@ def _spread(values: np.ndarray) -> tuple[str, str]:
     return f"{written(middle, 4)} [{written(low, 4)}, {written(high, 4)}]", failed
 
 
-def _name(run: FoundRun, one: Judged) -> str:
-    """Its row and quantity; where several of ours stand beside one printed number, the labels of ours too."""
-    name = f"{one.printed.row} / {one.printed.quantity}"
-    several = sum(other.key == one.key for other in run.numbers) > 1
-    if not several or run.values is None or one.series is None:
-        return name
-    return f"{name} ({', '.join(_labels(run.values, one.series))})"
+def _name(one: Judged) -> str:
+    """Its row and quantity; where several of ours stand beside one printed number, also which it is."""
+    return f"{one.printed.row} / {one.printed.quantity}{f' ({one.case})' if one.case else ''}"
 
 
 def _of_number(one: Judged) -> tuple[str, ...]:

@@ -17,12 +17,10 @@ from typing import Any, get_args
 from hident.config.suggest import one_of
 from hident.engine.experiment import Statistic
 from hident.errors import ConfigError
-from hident.ledger.published import Key, Printed
+from hident.ledger.published import CASE, Key, Place, Printed
 from hident.ledger.trial_values import Key as SeriesKey
 from hident.ledger.trial_values import TrialValues
-from hident.ledger.verdicts import COLUMNS, Word
-
-COUNTED = ("", "multiplicity")
+from hident.ledger.verdicts import COLUMNS, COUNTED, Word
 
 
 @dataclass(frozen=True)
@@ -46,6 +44,7 @@ class Judged:
     alternatives: int
     mark: str
     joint: float
+    case: str
     series: SeriesKey | None = None
     statistic: Statistic | None = None
 
@@ -53,6 +52,11 @@ class Judged:
     def key(self) -> Key:
         """Its table, row and quantity in the paper."""
         return self.printed.key
+
+    @property
+    def place(self) -> Place:
+        """The same, and which of ours stands beside it."""
+        return (*self.key, self.case)
 
     @property
     def counts(self) -> bool:
@@ -63,6 +67,11 @@ class Judged:
 def key_of(row: Mapping[str, str]) -> Key:
     """The table, row and quantity in the paper that a row of verdicts.csv is of."""
     return row["table"], row["row"], row["quantity"]
+
+
+def place_of(row: Mapping[str, str]) -> Place:
+    """The same, and which of ours stands beside it."""
+    return (*key_of(row), row.get(CASE) or "")
 
 
 def verdict_rows(file: Path) -> list[dict[str, str]]:
@@ -122,6 +131,7 @@ def _judged(row: Mapping[str, str], series: SeriesKey | None, statistic: Statist
         alternatives=int(row["alternatives"]),
         mark=row["mark"],
         joint=as_number(row["joint_p"]),
+        case=row.get(CASE) or "",
         series=series,
         statistic=statistic,
     )

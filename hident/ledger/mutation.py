@@ -8,7 +8,7 @@ from hident.engine.experiment import Plan, Published
 from hident.engine.results import Results
 from hident.ledger.joint import combined_p
 from hident.ledger.power import FEWEST, Mutation, NumberPower, VerdictPower
-from hident.ledger.published import Key
+from hident.ledger.published import Place
 from hident.ledger.verdicts import LEVEL, Verdict, group_p, grouped, is_same_data, stand
 
 
@@ -26,24 +26,24 @@ def measured(
     """The power of a plan's printed numbers; ``run`` is given the name and the plan of each alternative."""
     published = plan.experiment.published
     assert published is not None
-    numbers: dict[Key, tuple[str, dict[str, bool]]] = {}
+    numbers: dict[Place, tuple[str, dict[str, bool]]] = {}
     mutations: list[Mutation] = []
     # By as many trials as an alternative's, some of ours differ themselves.
     alone = next((one.trials for one in alternatives.values()), plan.trials)
-    itself = {one.printed.key: one for one in stand(run("itself", plan.changed(trials=alone)))}
+    itself = {one.place: one for one in stand(run("itself", plan.changed(trials=alone)))}
     for name, alternative in alternatives.items():
         verdicts = stand(run(name, alternative))
         tables: dict[str, list[Verdict]] = {}
         for verdict in verdicts:
-            key = verdict.printed.key
-            _, excluded = numbers.setdefault(key, (verdict.printed.printed, {}))
-            excluded[name] = excluded.get(name, False) or _excludes(verdict, itself[key])
+            place = verdict.place
+            _, excluded = numbers.setdefault(place, (verdict.printed.printed, {}))
+            excluded[name] = _excludes(verdict, itself[place])
             if verdict.counts:
                 tables.setdefault(verdict.printed.table, []).append(verdict)
         mutations += [_mutation(table, name, found, published, itself) for table, found in tables.items()]
     order = list(alternatives)
     return VerdictPower(
-        {key: NumberPower(*numbers[key]) for key in sorted(numbers)},
+        {place: NumberPower(*numbers[place]) for place in sorted(numbers)},
         tuple(sorted(mutations, key=lambda one: (one.table, order.index(one.alternative)))),
     )
 
@@ -54,16 +54,16 @@ def _excludes(verdict: Verdict, ours: Verdict) -> bool:
 
 
 def _mutation(
-    table: str, name: str, verdicts: Sequence[Verdict], published: Published, itself: Mapping[Key, Verdict]
+    table: str, name: str, verdicts: Sequence[Verdict], published: Published, itself: Mapping[Place, Verdict]
 ) -> Mutation:
-    excluding = [one for one in verdicts if _excludes(one, itself[one.printed.key])]
+    excluding = [one for one in verdicts if _excludes(one, itself[one.place])]
     trials = len(verdicts[0].series.values)
     p = combined_p(group_p(group, trials, published) for group in grouped(verdicts))
     # Where nothing is drawn digits decide, and bounds where there is nothing else.
     digits = is_same_data(published, trials)
     bounds = all(one.printed.bound for one in verdicts)
     decided = any(digits or bounds or _is_fixed(one) for one in excluding)
-    lost = any(itself[one.printed.key].is_known and not len(one.series.valid) for one in verdicts)
+    lost = any(itself[one.place].is_known and not len(one.series.valid) for one in verdicts)
     return Mutation(table, name, len(verdicts), len(excluding), p, p < LEVEL or decided or lost)
 
 

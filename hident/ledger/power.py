@@ -1,8 +1,9 @@
 """The power of printed numbers: which alternatives they exclude, and which of them a table rejects.
 
 ``numbers.csv`` holds, for each printed number and each alternative that changes what stands beside it,
-whether it would differ there. ``mutations.csv`` holds, for each table and alternative, the p-value of the
-joint test and whether the table rejects it: the share of those is the table's mutation score.
+whether it would differ there; where several of ours stand beside one number, for each of them.
+``mutations.csv`` holds, for each table and alternative, the p-value of the joint test and whether the table
+rejects it: the share of those is the table's mutation score.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from hident.engine.experiment import Plan
 from hident.engine.run_files import MUTATIONS, NUMBERS, RUN
 from hident.engine.trial import digest
 from hident.errors import ConfigError
-from hident.ledger.published import Key
+from hident.ledger.published import CASE, Place
 
 _NUMBERS = ("table", "row", "quantity", "printed", "alternative", "verdict")
 _MUTATIONS = ("table", "alternative", "numbers", "excluding", "joint_p", "verdict")
@@ -53,7 +54,7 @@ class NumberPower:
 class VerdictPower:
     """Of one configuration: what each printed number excludes, and what each table rejects."""
 
-    numbers: Mapping[Key, NumberPower]
+    numbers: Mapping[Place, NumberPower]
     mutations: tuple[Mutation, ...]
 
     def of_table(self, table: str) -> list[Mutation]:
@@ -67,23 +68,24 @@ class VerdictPower:
 
     def files(self) -> dict[str, str]:
         """The texts of its files by their names."""
+        cases = [CASE] * any(case for *_, case in self.numbers)
         numbers = (
-            (*key, number.printed, name, _EXCLUDED[excluded])
-            for key, number in self.numbers.items()
+            (*key, number.printed, name, _EXCLUDED[excluded], *[case] * len(cases))
+            for (*key, case), number in self.numbers.items()
             for name, excluded in number.excluded.items()
         )
         mutations = (
             (*(getattr(one, name) for name in _MUTATIONS[:-1]), _REJECTED[one.rejected])
             for one in self.mutations
         )
-        return {NUMBERS: _text(_NUMBERS, numbers), MUTATIONS: _text(_MUTATIONS, mutations)}
+        return {NUMBERS: _text((*_NUMBERS, *cases), numbers), MUTATIONS: _text(_MUTATIONS, mutations)}
 
     @classmethod
     def decoded(cls, numbers: bytes, mutations: bytes) -> VerdictPower:
         """What :meth:`files` gave; ValueError if the bytes are no such files."""
-        found: dict[Key, tuple[str, dict[str, bool]]] = {}
-        for table, row, quantity, printed, name, word in _rows(numbers, _NUMBERS):
-            _, excluded = found.setdefault((table, row, quantity), (printed, {}))
+        found: dict[Place, tuple[str, dict[str, bool]]] = {}
+        for table, row, quantity, printed, name, word, *case in _rows(numbers, _NUMBERS, CASE):
+            _, excluded = found.setdefault((table, row, quantity, "".join(case)), (printed, {}))
             excluded[name] = _known(_EXCLUDED, word)
         tables = [
             Mutation(table, name, int(count), int(excluding), float(p), _known(_REJECTED, word))
@@ -136,9 +138,11 @@ def _text(header: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     return text.getvalue()
 
 
-def _rows(data: bytes, columns: tuple[str, ...]) -> Iterator[list[str]]:
+def _rows(data: bytes, columns: tuple[str, ...], may: str = "") -> Iterator[list[str]]:
+    """The rows of a file of these columns, behind which one more may stand."""
     header, *rows = csv.reader(io.StringIO(data.decode(), newline=""), strict=True)
-    if tuple(header) != columns or any(len(row) != len(columns) for row in rows):
+    known = tuple(header) == columns or (may and tuple(header) == (*columns, may))
+    if not known or any(len(row) != len(header) for row in rows):
         raise ValueError(f"the columns must be {','.join(columns)}")
     yield from rows
 

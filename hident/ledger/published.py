@@ -18,8 +18,9 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import AfterValidator, BeforeValidator, ValidationError
+from pydantic import AfterValidator, BeforeValidator, ValidationError, field_validator, model_validator
 
+from hident.config.expression import number
 from hident.config.load import Problem, content_of, problems_of, read
 from hident.config.spec import NonEmpty, Spec
 from hident.config.suggest import did_you_mean
@@ -31,6 +32,10 @@ _COLUMNS = ("table", "row", "quantity", "printed", "note")
 _BOUNDS = ("<", ">")
 PUBLISHED, REASONS = "published.csv", "reasons.yaml"
 Key = tuple[str, str, str]
+Place = tuple[str, str, str, str]
+"""A printed number, and which of ours stands beside it; the last is empty where there is one."""
+CASE = "case"
+"""The column, behind the others, of which of ours it is; there where several stand beside one number."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +99,43 @@ def _in_words(written: str) -> str:
     return written
 
 
+class Misprint(Spec):
+    """What the paper itself prints that shows a number of it to be wrong, whatever ours is: one of these."""
+
+    formula: str | None = None
+    """What a formula of the paper gives with the numbers of the paper, as an expression of numbers."""
+    at_least: str | None = None
+    """Another quantity of the same row that is printed, below which the number cannot lie."""
+
+    @field_validator("formula")
+    @classmethod
+    def _gives_a_number(cls, formula: str | None) -> str | None:
+        if formula is not None:
+            number(formula)
+        return formula
+
+    @model_validator(mode="after")
+    def _is_one(self) -> Misprint:
+        if (self.formula is None) == (self.at_least is None):
+            raise ValueError("must have either 'formula' or 'at_least'")
+        return self
+
+    def check(self, printed: Printed, numbers: Mapping[Key, Printed]) -> None:
+        """ConfigError if the paper does not show that a number is misprinted."""
+        where = f"{REASONS}: the misprint of {_spelled(printed.key)}: the printed {printed.printed}"
+        if self.formula is not None:
+            value = number(self.formula)
+            if printed.bound or abs(value - printed.value) <= printed.slack:
+                raise ConfigError(f"{where} is what {self.formula} = {value:g} gives")
+            return
+        key = (printed.table, printed.row, str(self.at_least))
+        if key not in numbers:
+            raise ConfigError(f"{where} is to lie below {_spelled(key)}, which is not in published.csv")
+        least = numbers[key]
+        if printed.bound or least.bound or printed.value + printed.slack >= least.value - least.slack:
+            raise ConfigError(f"{where} is not below the printed {least.printed} of {least.quantity}")
+
+
 class Reason(Spec):
     """Why printed numbers differ from ours; each field but ``reason`` is a shell pattern or several."""
 
@@ -107,8 +149,8 @@ class Reason(Spec):
     """The row."""
     quantity: Patterns = ("*",)
     """The quantity."""
-    misprint: bool = False
-    """Whether the printed digits are wrong by what the paper itself prints."""
+    misprint: Misprint | None = None
+    """What of the paper itself shows that the printed digits are wrong; then no joint test holds them."""
 
     def covers(self, config: str, key: Key) -> bool:
         """Whether it speaks of this number of this configuration."""
@@ -262,6 +304,24 @@ def published_of(plan: Plan) -> dict[Key, Printed]:
     """The printed numbers of a plan's paper, from the file as the plan knows it."""
     assert plan.paper is not None
     return read_published(plan.paper, plan.paper_file(PUBLISHED))
+
+
+def misprints_of(plan: Plan) -> frozenset[Key]:
+    """The printed numbers of a plan's paper that the paper itself shows to be misprinted.
+
+    ConfigError if a reason says so and the paper does not.
+    """
+    reasons = [one for one in reasons_of(plan) if one.is_of([plan.name])]
+    if not any(one.misprint for one in reasons):
+        return frozenset()
+    numbers = published_of(plan)
+    found = set()
+    for key, printed in numbers.items():
+        first = next((one for one in reasons if one.covers(plan.name, key)), None)
+        if first is not None and first.misprint is not None:
+            first.misprint.check(printed, numbers)
+            found.add(key)
+    return frozenset(found)
 
 
 def reasons_of(plan: Plan) -> tuple[Reason, ...]:

@@ -29,7 +29,7 @@ from hident.engine.experiment import Published, PublishedCells, Statistic
 from hident.engine.results import Results, Series
 from hident.ledger.joint import adjusted_p, combined_p, joint_p, replicates
 from hident.ledger.power import VerdictPower, power_of
-from hident.ledger.published import Printed, beside_series, reasons_of
+from hident.ledger.published import CASE, Key, Place, Printed, beside_series, misprints_of, reasons_of
 from hident.numerics.rounding import is_constant
 
 if TYPE_CHECKING:
@@ -59,6 +59,8 @@ COLUMNS = (
     "group",
     "joint_p",
 )
+COUNTED = ("", "misprint", "multiplicity")
+"""The marks of numbers that count."""
 RUNS = (1, 10, 100)
 """How many runs a paper may have averaged that does not say it."""
 LEVEL = 0.05
@@ -94,7 +96,10 @@ class Verdict:
     runs: tuple[int, ...] = ()
     """Of :data:`RUNS`, the numbers of runs the mean of which it may be, where the paper does not say it."""
     mark: str = ""
-    """Why it does not count: 'structural', 'duplicate' or 'circular'; 'multiplicity' of one that differs."""
+    """Why it does not count: 'structural', 'duplicate' or 'circular'. Of one that does: 'misprint' by what
+    the paper itself prints, or 'multiplicity'."""
+    case: str = ""
+    """What tells it apart from others on the same printed number; empty where there is one."""
     group: int = 0
     """The number, within the configuration, of the printed numbers from the same data."""
     joint: float = _NAN
@@ -105,7 +110,12 @@ class Verdict:
     @property
     def counts(self) -> bool:
         """Whether it says anything that another number, or the configuration itself, does not."""
-        return self.mark in ("", "multiplicity")
+        return self.mark in COUNTED
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether it belongs to the joint test: it counts, is no misprint, no bound, and a draw."""
+        return self.counts and self.mark != "misprint" and not self.printed.bound and self.is_random
 
     @property
     def is_known(self) -> bool:
@@ -125,7 +135,17 @@ class Verdict:
         width = (self.high - self.low) / abs(p.value) if p.value else _NAN
         judged = (self.ours, self.low, self.high, self.word, self.reason, self.interval, ratio, width)
         power = (self.p, self.flips, self.excluded, self.alternatives, " ".join(map(str, self.runs)))
-        return (*head, *judged, *power, self.mark, self.adjusted, self.group, self.joint)
+        return (*head, *judged, *power, self.mark, self.adjusted, self.group, self.joint, self.case)
+
+    @property
+    def place(self) -> Place:
+        """Which printed number it is on, and which of ours stands beside it."""
+        return (*self.printed.key, self.case)
+
+    @property
+    def name(self) -> str:
+        """The same in words."""
+        return " / ".join(self.printed.key) + (f", {self.case}" if self.case else "")
 
 
 Beside = dict[tuple[int, str], "Verdict"]
@@ -165,33 +185,61 @@ def stand(results: Results) -> list[Verdict]:
     if published is None or results.plan.paper is None:
         return []
     seen: set[tuple[int, str, str]] = set()
+    misprints = misprints_of(results.plan)
     verdicts = []
     for cell, series, printed in beside_series(results, published.cells):
         verdict = _judged(printed, cell, series, published)
         again = (id(series), cell.statistic, printed.printed)
-        verdicts.append(replace(verdict, mark=_mark(verdict, repeated=again in seen)))
+        verdicts.append(replace(verdict, mark=_mark(verdict, misprints, repeated=again in seen)))
         seen.add(again)
-    return verdicts
+    return [replace(one, case=case) for one, case in zip(verdicts, _cases(verdicts), strict=True)]
+
+
+def _cases(verdicts: Sequence[Verdict]) -> list[str]:
+    """What tells verdicts on the same printed number apart, for each; empty where there is one."""
+    parts = [
+        {
+            **{axis: str(label) for axis, label in one.series.unit.labels.items()},
+            "estimator": one.cell.estimator,
+            "metric": one.series.metric,
+            "statistic": one.cell.statistic,
+        }
+        for one in verdicts
+    ]
+    alike: dict[Key, list[dict[str, str]]] = {}
+    for one, part in zip(verdicts, parts, strict=True):
+        alike.setdefault(one.printed.key, []).append(part)
+    return [
+        ", ".join(
+            f"{name} {text}"
+            for name, text in part.items()
+            if any(other.get(name) != text for other in alike[one.printed.key])
+        )
+        for one, part in zip(verdicts, parts, strict=True)
+    ]
 
 
 def frame(verdicts: Sequence[Verdict]) -> pd.DataFrame:
-    """The table verdicts.csv."""
+    """The table verdicts.csv; without the column of cases where each number is judged once."""
     import pandas as pd
 
-    return pd.DataFrame([verdict.row() for verdict in verdicts], columns=list(COLUMNS))
+    found = pd.DataFrame([verdict.row() for verdict in verdicts], columns=[*COLUMNS, CASE])
+    return found if any(one.case for one in verdicts) else found[list(COLUMNS)]
 
 
-def _mark(verdict: Verdict, *, repeated: bool) -> str:
+def _mark(verdict: Verdict, misprints: Container[Key], *, repeated: bool) -> str:
     if verdict.cell.circular:
         return "circular"
     valid = verdict.series.valid
     if verdict.printed.value == 0.0 and len(valid) and not np.any(valid):
         return "structural"
-    return "duplicate" if repeated else ""
+    if repeated:
+        return "duplicate"
+    return "misprint" if verdict.printed.key in misprints else ""
 
 
 def _with_power(verdict: Verdict, power: VerdictPower | None) -> Verdict:
-    number = None if power is None else power.numbers.get(verdict.printed.key)
+    number = None if power is None else power.numbers.get(verdict.place)
     # Of a number that has changed since, nothing is known.
     known = number.excluded if number and number.printed == verdict.printed.printed else {}
     excluded = sum(known.values())
@@ -285,16 +333,16 @@ class _Pool:
 def group_p(group: Sequence[Verdict], trials: int, published: Published, runs: int = 1) -> float:
     """The p-value of numbers from the same data, against the joint distribution of our trials; nan: none.
 
-    Bounds, what does not count, what is known in few trials and what does not vary (its digits are equal or
-    differ) are left out. Where the paper does not say how many runs it averaged, as many as ``runs`` are
-    taken.
+    Bounds, misprints, what does not count, what is known in few trials and what does not vary (its digits
+    are equal or differ) are left out. Where the paper does not say how many runs it averaged, as many as
+    ``runs`` are taken.
     """
     pool = _pool(group, trials, published, runs)
     return pool.joint_p() if pool else _NAN
 
 
 def _pool(group: Sequence[Verdict], trials: int, published: Published, runs: int = 1) -> _Pool | None:
-    group = [one for one in group if one.counts and not one.printed.bound and one.is_random]
+    group = [one for one in group if one.is_drawn]
     if not group or is_same_data(published, trials):
         return None
     rows = np.stack([one.series.values[:_MOST_ROWS] for one in group], axis=1)

@@ -15,10 +15,10 @@ from hident.engine.experiment import load
 from hident.engine.run_files import MUTATIONS, NUMBERS, POWER, RUN, VERDICTS
 from hident.errors import ConfigError, NothingToCompare
 from hident.ledger.joint import combined_p
-from hident.ledger.judged import COUNTED, as_number, key_of, verdict_rows
+from hident.ledger.judged import as_number, key_of, place_of, verdict_rows
 from hident.ledger.power import VerdictPower, is_of
-from hident.ledger.published import PUBLISHED, Key, Reason, read_published, read_reasons
-from hident.ledger.verdicts import LEVEL
+from hident.ledger.published import CASE, PUBLISHED, Key, Reason, read_published, read_reasons
+from hident.ledger.verdicts import COUNTED, LEVEL
 from hident.run_folder import RunFolder
 
 
@@ -116,8 +116,9 @@ def verify(
                 if words.get((config, key)) != "differs":
                     words[config, key] = row["verdict"]
             elif counts and row["verdict"] == "differs":
+                case = f", {row[CASE]}" if row.get(CASE) else ""
                 unexplained.append(
-                    f"{config}: {' / '.join(key)}: printed {row['printed']}, ours {row['ours']}"
+                    f"{config}: {' / '.join(key)}{case}: printed {row['printed']}, ours {row['ours']}"
                 )
         stale += [f"{config}: {line}" for line in said]
     unjudged, idle, astray = [], [], []
@@ -237,7 +238,7 @@ def _power(
         return None, [f"they were run for another configuration: {remedy}"]
     said = []
     for row in rows:
-        number = found.numbers.get(key_of(row))
+        number = found.numbers.get(place_of(row))
         if number is not None and number.printed != row["printed"]:
             said.append(f"they were run for other printed numbers: {remedy}")
         elif number is not None and row["alternatives"] != str(len(number.excluded)):

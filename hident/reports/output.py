@@ -331,8 +331,7 @@ def _differences(verdicts: Sequence[Verdict]) -> list[str]:
                 f"Differs: {reason or 'no reason is given yet.'}",
                 "",
                 *(
-                    f"- {' / '.join(v.printed.key)}: printed {v.printed.printed}, ours {v.ours:.4g} "
-                    f"[{v.low:.4g}, {v.high:.4g}]"
+                    f"- {v.name}: printed {v.printed.printed}, ours {v.ours:.4g} [{v.low:.4g}, {v.high:.4g}]"
                     for v in differing
                     if v.reason == reason
                 ),

@@ -153,13 +153,42 @@ def test_numbers_and_tables_are_held_against_each_alternative(tmp_path):
 
     power = measured(plan, alternative_plans(plan, trials_of(plan, 30)), results)
     assert asked == [("itself", 30), ("near", 30), ("far", 30)]
-    assert {key[1]: number.excluded for key, number in power.numbers.items()} == {
+    assert {place[1]: number.excluded for place, number in power.numbers.items()} == {
         f"N={n}": {"near": False, "far": True} for n in (10, 100, 1000)
     }
     near, far = power.mutations
     assert (near.alternative, near.rejected, near.excluding) == ("near", False, 0)
     assert (far.alternative, far.rejected, far.excluding, far.numbers) == ("far", True, 3, 3)
     assert power.score("T") == (1, 2)
+    assert VerdictPower.decoded(*(text.encode() for text in power.files().values())) == power
+
+
+def test_each_of_several_of_ours_on_one_number_is_held_against_an_alternative_by_itself(tmp_path):
+    plan = plan_with(tmp_path, "{x: {system.linear.a: [0.50001]}}", trials=60)
+    plan.path.write_text(plan.path.read_text().replace("N={samples}", "all N"))
+    (tmp_path / "experiments" / "someone2001" / "published.csv").write_text(
+        "table,row,quantity,printed,note\nT,all N,error,1.00,\n"
+    )
+    plan = load(plan.path)
+    rng = np.random.default_rng(3)
+
+    def results(name, alternative):
+        def values(series):
+            lost = name == "itself" and series.unit.labels["samples"] == 1000
+            away = name == "x" and series.unit.labels["samples"] != 10
+            return rng.normal(9.0 if lost or away else 1.0, 0.1, alternative.trials)
+
+        found = run(alternative)
+        return Results(found.plan, tuple(Series(one.unit, one.metric, values(one)) for one in found.series))
+
+    power = measured(plan, alternative_plans(plan, 60), results)
+    # The last one differs without the alternative too.
+    assert {place[3]: number.excluded["x"] for place, number in power.numbers.items()} == {
+        "samples 10": False,
+        "samples 100": True,
+        "samples 1000": False,
+    }
+    assert power.mutations[0].excluding == 1
     assert VerdictPower.decoded(*(text.encode() for text in power.files().values())) == power
 
 

@@ -16,8 +16,8 @@ from hident.config.load import read_leniently
 from hident.config.spec import components
 from hident.engine.run_files import RUN, TRIALS, VERDICTS
 from hident.errors import ConfigError, NothingToCompare
-from hident.ledger.judged import COUNTED
 from hident.ledger.trial_values import TrialValues
+from hident.ledger.verdicts import COUNTED
 from hident.reports.site import build as module
 from hident.reports.site import configuration, differences, drawings, front, methods, runs, tables
 from hident.reports.site.build import build
@@ -198,7 +198,8 @@ def test_what_a_verdict_lacks_stands_in_its_cell(read):
         assert flags(read[f"runs/{config}.html"]).count("wide") == len(rows), config
     assert flags(read["runs/mzyk_variance.html"]) == ["misprint"]
     assert flags(read["runs/chen_vif.html"]).count("misprint") == 1
-    assert "but a misprint is among its numbers" in " ".join(read["runs/mzyk_variance.html"].text_of("p"))
+    left_out = "What the paper itself shows to be misprinted (1) is left out of it."
+    assert left_out in " ".join(read["runs/mzyk_variance.html"].text_of("p"))
 
 
 def test_the_front_page_says_what_its_numbers_do_not_tell(read):
@@ -216,7 +217,8 @@ def test_the_front_page_says_what_its_numbers_do_not_tell(read):
     bars = [one["attributes"]["aria-label"] for one in page.of("svg", class_="bar")]
     assert f"({wide} wide)" in bars[0]
     ledger = [row["text"] for row in page.of("tr") if "data-row" in row["attributes"]]
-    assert sum("(with the misprint)" in row for row in ledger) == 2
+    assert sum("misprinted" in row for row in ledger) == 3
+    assert not any("and ours" in row for row in ledger if "mzyk_variance" in row)
     assert any("0.050" in row and "and ours" not in row for row in ledger if "chen_example3" in row)
 
 
@@ -689,8 +691,8 @@ def test_the_front_page_counts_each_printed_number_once(read):
         paper = json.loads((RESULTS / config / RUN).read_bytes())["experiment"]["resolved"]["paper"]
         for row in rows_of(config):
             places.setdefault((paper, row["table"], row["row"], row["quantity"]), []).append(row["mark"])
-    counting = [key for key, marks in places.items() if {"", "multiplicity"} & {*marks}]
-    verdicts = sum(mark in ("", "multiplicity") for marks in places.values() for mark in marks)
+    counting = [key for key, marks in places.items() if {*COUNTED} & {*marks}]
+    verdicts = sum(mark in COUNTED for marks in places.values() for mark in marks)
     assert said.startswith(f"{sum(papers.values())} printed numbers of {len(papers)} papers.")
     assert f"{len(counting)} count; of the others, " in said
     assert f"there are {verdicts} verdicts, and" in said

@@ -105,7 +105,7 @@ def test_a_number_agrees_that_some_alternative_would_not_give(tmp_path):
     ours = without_reports(plan.experiment)
 
     def with_power(printed, known=ours, **excluded):
-        power = VerdictPower({("T", "N=10", "error"): NumberPower(printed, excluded)}, ())
+        power = VerdictPower({("T", "N=10", "error", ""): NumberPower(printed, excluded)}, ())
         for name, text in power.files().items():
             (folder / name).write_text(text)
         (folder / "run.json").write_text(json.dumps({"experiment": {"hash": known}}))
@@ -227,6 +227,67 @@ def test_one_of_many_cells_is_multiplicity_where_the_table_is_sound(tmp_path):
     assert marks("9", "0.5", "-0.5")[0] == (True, "")
     # Each by itself might be chance, and the three together are not.
     assert marks("2.3", "2.3", "2.3")[0] == (True, "")
+
+
+MISPRINT = "reasons: [{row: N=10, quantity: error, reason: a misprint, misprint: MISPRINT}]"
+
+
+def with_reason(tmp_path, misprint, printed="99"):
+    rng = np.random.default_rng(8)
+    values = {("one", str(n)): rng.normal(size=400) for n in (10, 100, 1000)}
+    rest = PUBLISHED.format(runs=1, statistic="mean") + "streams: {kind: numpy, share: [input]}\n"
+    numbers = f"T,N=10,error,{printed},\n" + "".join(f"T,N={n},error,0.5,\n" for n in (100, 1000))
+    numbers += "T,N=10,largest,5,\nT,N=10,smallest,150,\n"
+    reasons = MISPRINT.replace("MISPRINT", misprint)
+    return judge(made(tmp_path, values, rest=rest, printed=numbers, reasons=reasons))
+
+
+@pytest.mark.parametrize("misprint", ["{formula: 2*3}", "{at_least: smallest}"])
+def test_what_the_paper_itself_shows_to_be_misprinted_is_left_out_of_the_joint_test(tmp_path, misprint):
+    first, *others = with_reason(tmp_path, misprint)
+    assert (first.word, first.mark, first.counts) == ("differs", "misprint", True)
+    assert np.isnan(first.adjusted)
+    assert [one.mark for one in others] == ["", ""]
+    assert first.joint == others[0].joint > 0.3
+    counted = with_reason(tmp_path, "null")
+    assert (counted[0].mark, counted[0].joint < 0.02) == ("", True)
+
+
+def test_a_misprint_does_not_depend_on_ours(tmp_path):
+    assert with_reason(tmp_path, "{formula: 2*3}", printed="0.1")[0].mark == "misprint"
+
+
+@pytest.mark.parametrize(
+    ("misprint", "message"),
+    [
+        ("{formula: 100 - 1}", r"reasons.yaml: the misprint of T / N=10 / error: the printed 99 is what 100"),
+        ("{formula: 98 + 0.6}", r"the printed 99 is what 98 \+ 0.6 = 98.6 gives"),
+        ("{at_least: largest}", "the printed 99 is not below the printed 5 of largest"),
+        ("{at_least: mean}", "the printed 99 is to lie below T / N=10 / mean, which is not in published.csv"),
+        ("{formula: 1 + 1, at_least: largest}", "must have either 'formula' or 'at_least'"),
+        ("{formula: sum}", "sum"),
+        ("true", "misprint"),
+    ],
+)
+def test_a_misprint_that_the_paper_does_not_show_is_refused(tmp_path, misprint, message):
+    with pytest.raises(ConfigError, match=message):
+        with_reason(tmp_path, misprint)
+
+
+def test_several_of_ours_on_one_printed_number_are_told_apart(tmp_path):
+    rest = PUBLISHED.format(runs=1, statistic="mean").replace("N={samples}", "all N")
+    values = {("one", n): TRIALS + i for i, n in enumerate(("10", "100", "1000"))}
+    found = judge(made(tmp_path, values, rest=rest, printed="T,all N,error,9,\n"))
+    assert [one.case for one in found] == ["samples 10", "samples 100", "samples 1000"]
+    assert found[0].name == "T / all N / error, samples 10"
+    assert list(frame(found).columns) == [*COLUMNS, "case"]
+    assert list(frame(found)["case"]) == [one.case for one in found]
+
+
+def test_one_of_ours_on_each_printed_number_needs_no_case(tmp_path):
+    one = judged(tmp_path, "9")
+    assert (one.case, one.name) == ("", "T / N=10 / error")
+    assert list(frame([one]).columns) == list(COLUMNS)
 
 
 def test_of_few_trials_the_range_is_the_interval(tmp_path):

@@ -162,7 +162,7 @@ def test_a_table_has_its_p_and_what_does_not_count_is_left_out(folders):
 def powered(folder, resolved, *, alternatives=("x", "y")):
     """A folder of the alternatives of configuration c, as `hident power` writes it."""
     mutations = [Mutation("T", name, 1, 0, 0.5, name == "x") for name in alternatives]
-    power = VerdictPower({("T", "a", "q"): NumberPower("1", {"x": True})}, tuple(mutations))
+    power = VerdictPower({("T", "a", "q", ""): NumberPower("1", {"x": True})}, tuple(mutations))
     folder = folder / "power" / "c"
     folder.mkdir(parents=True)
     for name, text in power.files().items():

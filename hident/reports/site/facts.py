@@ -10,8 +10,7 @@ from typing import Any
 from hident.config.suggest import counted
 from hident.engine.run_files import CRASHES, POWER, RUN, VERDICTS
 from hident.errors import ConfigError
-from hident.ledger.judged import COUNTED
-from hident.ledger.verdicts import Word
+from hident.ledger.verdicts import COUNTED, Word
 from hident.ledger.verify import RunVerdicts, TableState, verdicts_in
 from hident.run_folder import RunFolder
 

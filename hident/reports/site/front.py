@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 
 from hident.engine.run_files import PAGE, unpacked
 from hident.engine.trial import digest
-from hident.ledger.judged import COUNTED, as_number, key_of
+from hident.ledger.judged import as_number, key_of
+from hident.ledger.verdicts import COUNTED
 from hident.ledger.verify import TableState
 from hident.reports.page import Page as Content
 from hident.reports.site import drawings, tables
@@ -27,7 +28,6 @@ from hident.reports.site.pages import (
     run_file,
     run_page,
 )
-from hident.reports.site.remarks import Remarks
 from hident.reports.site.rendering import NAVIGATION
 from hident.reports.tables.writing import SIGNS
 
@@ -131,7 +131,7 @@ def papers(sources: Sources) -> list[Paper]:
                     state,
                     run,
                     methods_of(run),
-                    _misprints(run, state, sources.remarks[run.facts.paper]),
+                    _misprints(run, state),
                 )
                 found.setdefault(run.facts.paper, []).append(row)
     return [
@@ -145,10 +145,8 @@ def methods_of(run: Run) -> tuple[str, ...]:
     return tuple(map(method, run.facts.kinds("estimators")))
 
 
-def _misprints(run: Run, state: TableState, remarks: Remarks) -> int:
-    return sum(
-        remarks.is_misprint(run.facts.config, key_of(one), one["verdict"]) for one in _rows(run, state)
-    )
+def _misprints(run: Run, state: TableState) -> int:
+    return sum(one["mark"] == "misprint" and one["verdict"] == "differs" for one in _rows(run, state))
 
 
 def _pages(sources: Sources) -> Iterator[Page]:

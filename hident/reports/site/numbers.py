@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from types import MappingProxyType
@@ -32,6 +32,7 @@ MARKS = {
     "structural": "not counted: the coefficient is not there, and zero in all trials",
     "duplicate": "not counted: the same cell is printed twice",
     "circular": "not counted: the printed number is the truth of the configuration",
+    "misprint": "the paper itself shows it, so the joint test leaves the number out",
     "multiplicity": "some number of so many differs by chance; the table as a whole is sound",
 }
 UNCOUNTED = {
@@ -61,14 +62,15 @@ class Number:
     """The alternatives under which it would be as likely."""
     excluding: tuple[str, ...] = ()
     """The alternatives that it excludes."""
-    case: str = ""
-    """What tells ours apart from others beside the same printed number; empty where it stands alone."""
     note: str = ""
     """What published.csv says of it."""
     true: float | None = None
     """The true value of what is estimated, where it is known."""
-    is_misprint: bool = False
-    """Whether the reason for its difference is that it is misprinted."""
+
+    @property
+    def row(self) -> str:
+        """Its row in the paper, and which of ours stands beside it if there are several."""
+        return ", ".join(filter(None, (self.judged.printed.row, self.judged.case)))
 
     @property
     def id(self) -> str:
@@ -136,6 +138,11 @@ class Number:
         """Whether it agrees by an interval wider than the number itself."""
         it = self.judged
         return it.word == "agrees" and it.high - it.low > abs(it.printed.value)
+
+    @property
+    def is_misprint(self) -> bool:
+        """Whether the paper itself shows it to be misprinted."""
+        return self.judged.mark == "misprint"
 
     @property
     def is_derived(self) -> bool:
@@ -220,16 +227,14 @@ def numbers_of(
     power: VerdictPower | None,
     trials: TrialValues | None,
     remarks: Remarks | None = None,
-    config: str = "",
     truths: Mapping[Key, float] = MappingProxyType({}),
 ) -> Iterator[Number]:
     """All numbers of a run, in the order of verdicts.csv; ``truths`` are the true values of our series."""
     of = [trials.described_series(one.series) if trials and one.series else "" for one in judged]
-    cases = _cases(judged, of)
     for i, one in enumerate(judged):
         values = trials.series[one.series] if trials and one.series else None
         there = None if values is None else values[np.isfinite(values)]
-        known = power.numbers.get(one.key) if power else None
+        known = power.numbers.get(one.place) if power else None
         yield Number(
             place=i + 1,
             judged=one,
@@ -238,19 +243,6 @@ def numbers_of(
             failed=0 if values is None or there is None else len(values) - len(there),
             fitting=tuple(name for name, excluded in known.excluded.items() if not excluded) if known else (),
             excluding=tuple(name for name, excluded in known.excluded.items() if excluded) if known else (),
-            case=cases[i],
             note=remarks.notes.get(one.key, "") if remarks else "",
             true=truths.get(one.series) if one.series and one.statistic in ("mean", "median") else None,
-            is_misprint=bool(remarks and remarks.is_misprint(config, one.key, one.word)),
         )
-
-
-def _cases(judged: Sequence[Judged], of: Sequence[str]) -> list[str]:
-    """What tells several of ours beside one printed number apart, for each of ours."""
-    parts: dict[tuple[str, str, str], list[list[str]]] = {}
-    for one, said in zip(judged, of, strict=True):
-        parts.setdefault(one.key, []).append(said.split(", "))
-    return [
-        ", ".join(part for part in said.split(", ") if not all(part in other for other in parts[one.key]))
-        for one, said in zip(judged, of, strict=True)
-    ]

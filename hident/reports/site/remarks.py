@@ -1,4 +1,4 @@
-"""What the folder of a paper says of its printed numbers today: notes, reasons, misprints."""
+"""What the folder of a paper says of its printed numbers today: notes and reasons."""
 
 from __future__ import annotations
 
@@ -33,8 +33,3 @@ class Remarks:
     def reason(self, config: str, key: Key) -> Reason | None:
         """The reason that covers a number of a configuration."""
         return next((one for one in self.reasons if one.covers(config, key)), None)
-
-    def is_misprint(self, config: str, key: Key, word: str) -> bool:
-        """Whether a number of this verdict differs as it is misprinted."""
-        reason = self.reason(config, key) if word == "differs" else None
-        return reason is not None and reason.misprint

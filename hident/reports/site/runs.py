@@ -307,7 +307,7 @@ def _numbers(
         return [], []
     try:
         rows = judged(run.folder.path / VERDICTS, verdicts.resolved, trials)
-        return list(numbers_of(rows, verdicts.power, trials, remarks, verdicts.config, known)), []
+        return list(numbers_of(rows, verdicts.power, trials, remarks, known)), []
     except ConfigError as error:
         return [], [str(error).replace(f"{run.folder.path}/", "")]
 

@@ -61,29 +61,20 @@ def grids(numbers: Sequence[Number]) -> list[Grid]:
 def _grid(table: str, numbers: Sequence[Number]) -> Grid:
     cells: dict[tuple[str, str], list[Number]] = {}
     for one in numbers:
-        cells.setdefault(one.judged.key[1:], []).append(one)
+        cells.setdefault((one.row, one.judged.printed.quantity), []).append(one)
     rows = list(dict.fromkeys(row for row, _ in cells))
     columns = list(dict.fromkeys(quantity for _, quantity in cells))
     intervals = tuple(dict.fromkeys(one.judged.interval for one in numbers))
     if 2 * len(cells) < len(rows) * len(columns):
         lines = {row: [one for (of, _), there in cells.items() if of == row for one in there] for row in rows}
         body = (
-            (
-                row,
-                (
-                    tuple(
-                        (", ".join(filter(None, (one.judged.printed.quantity, one.case))), one)
-                        for one in line
-                    ),
-                ),
-            )
-            for row, line in lines.items()
+            (row, (tuple((one.judged.printed.quantity, one) for one in line),)) for row, line in lines.items()
         )
         return Grid(table, "row", ("printed and ours",), tuple(body), intervals)
 
     def at(row: str, quantity: str) -> tuple[Labelled, ...]:
         there = cells.get((row, quantity), [])
-        return tuple((one.case, one) for one in there)
+        return tuple(("", one) for one in there)
 
     if len(columns) > max(8, len(rows)):
         turned = ((column, tuple(at(row, column) for row in rows)) for column in columns)
