@@ -222,6 +222,23 @@ def test_the_front_page_says_what_its_numbers_do_not_tell(read):
     assert any("0.050" in row and "and ours" not in row for row in ledger if "chen_example3" in row)
 
 
+@pytest.mark.parametrize(
+    ("run", "words"),
+    [
+        ("compare_wiener", {"nsr", "Told apart", "Ranks", "Geometric mean ratio"}),
+        ("brouri_reading_gains", {"Gauge"}),
+        ("wang_efficiency", {"Beyond"}),
+        ("mzyk_reduction", {"Hang on a single trial"}),
+    ],
+)
+def test_words_are_explained_on_the_page_that_they_stand_on(read, run, words):
+    page = read[f"runs/{run}.html"]
+    links = [one for one in page.of("a") if "glossary.html#" in (one["attributes"].get("href") or "")]
+    assert words <= {one["text"] for one in links}
+    anchors = {one["attributes"].get("id") for one in read["handbook/glossary.html"].of("h2")}
+    assert {one["attributes"]["href"].partition("#")[2] for one in links} <= anchors
+
+
 def test_runs_of_the_same_printed_numbers_name_each_other(read):
     for one, other in (("chen_vif", "chen_table1"), ("chen_table1", "chen_vif")):
         page = read[f"runs/{one}.html"]

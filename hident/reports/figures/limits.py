@@ -26,9 +26,16 @@ _POINTS = 2001
 # Of the range of the labels, the room beside them.
 _MARGIN = 0.1
 # Inches between the marks of neighbours, and from a mark up to the arrow over it.
-_APART = 0.07
-_ABOVE = 0.11
-_BEYOND: Look = {"color": "black", "linestyle": "none", "marker": r"$\uparrow$", "markersize": 7}
+_APART = 0.1
+_ABOVE = 0.12
+# Without an edge, which would make them so bold that those of neighbours touch.
+_BEYOND: Look = {
+    "color": "black",
+    "linestyle": "none",
+    "marker": r"$\uparrow$",
+    "markersize": 8,
+    "markeredgewidth": 0,
+}
 
 
 @component("figure", "limit", source="Chen, Hwang, Chang 2009, figure 9")

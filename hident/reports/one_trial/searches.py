@@ -202,7 +202,7 @@ def draw_partition(axes: Axes, search: PartitionSearch) -> str:
         "zorder": 6,
     }
     axes.plot(lower, upper, linestyle="none", label=label, **look)
-    axes.grid(visible=False)
+    axes.grid(visible=False, which="major")
     return f"best: ({lower:.3g}, {upper:.3g})"
 
 
@@ -227,10 +227,15 @@ def _draw_numbers(axes: Axes, search: PartitionSearch, ratio: np.ma.MaskedArray[
     """The criterion at each pair that was not rejected, in a window around them and the best pair."""
     for j, i in np.argwhere(~np.ma.getmaskarray(ratio)):
         at = (search.lower[i], search.upper[j])
-        axes.text(*at, f"{ratio[j, i]:.3g}", fontsize=7, ha="center", va="center", bbox=NOTE)
+        axes.text(*at, f"{ratio[j, i]:.2f}", fontsize=8, ha="center", va="center", bbox=NOTE)
     kept = np.isfinite(search.loss)
     axes.set_xlim(*_window(search.lower, np.any(kept, axis=1), search.best[0]))
     axes.set_ylim(*_window(search.upper, np.any(kept, axis=0), search.best[1]))
+    # Which pair a number is of.
+    for axis, points in ((axes.xaxis, search.lower), (axes.yaxis, search.upper)):
+        axis.set_ticks(points, minor=True)
+        axis.grid(visible=True, which="minor")
+    axes.tick_params(which="minor", length=0)
 
 
 def _window(points: Array, kept: Flags, best: float) -> tuple[float, float]:

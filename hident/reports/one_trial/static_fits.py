@@ -80,6 +80,10 @@ class StaticPanel(Spec):
     """The estimates; the first one's system gives the truth."""
     interval: Interval
     """Range of the abscissa, as shown."""
+    x_label: str | None = None
+    """Label of its abscissa, with the unit; that of the figure by default."""
+    y_label: str | None = None
+    """Label of its ordinate, with the unit; that of the figure by default."""
     y_limits: Interval | None = None
     """Range of the ordinate; by what is shown by default."""
     x_offset: Offset = 0.0
@@ -141,8 +145,8 @@ class StaticFit(OneTrialFigure):
         figure, grid = panel_grid(len(self.panels), self.columns, width, 2.9)
         for panel, axes in zip(self.panels, grid, strict=True):
             draw_static(axes, panel, trial, lines)
-            axes.set_xlabel(self.x_label)
-            axes.set_ylabel(self.y_label)
+            axes.set_xlabel(panel.x_label or self.x_label)
+            axes.set_ylabel(panel.y_label or self.y_label)
         legend_above(figure)
         return figure
 

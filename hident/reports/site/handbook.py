@@ -18,6 +18,7 @@ _GROUPS: Mapping[str, Mapping[str, str]] = {
         "tutorial": "A system of your own, and which of two methods finds it better.",
         "concepts": "What no data can tell, seeds, failures, and where the trials are kept.",
         "questions": "What a message means, and what to do.",
+        "glossary": "What the words mean that stand in tables, notes and figures.",
     },
     "Describe an experiment": {
         "configuration": "How a file is written: axes, variables, choices, printed numbers.",

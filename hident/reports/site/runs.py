@@ -42,7 +42,7 @@ from hident.ledger.trial_values import Key, TrialValues
 from hident.ledger.verdicts import LEVEL
 from hident.reports.failures import failures_of, records
 from hident.reports.page import Page as Content
-from hident.reports.site import bibliography, configuration, drawings, tables
+from hident.reports.site import bibliography, configuration, drawings, glossary, tables
 from hident.reports.site.facts import WORDS, Facts
 from hident.reports.site.markdown import html
 from hident.reports.site.numbers import MARKS, MEANINGS, Number, chance, numbers_of
@@ -81,6 +81,7 @@ def parts(sources: Sources) -> Iterator[Part]:
         for pattern in (f"*/{REASONS}", f"*/{PUBLISHED}", "*/*.bib")
         for path in sources.experiments.glob(pattern)
     }
+    explained = [list(one) for one in glossary.words_of(sources)]
     kinds = [[family, *components(family)] for family in ("estimator", "metric", "table", "figure")]
     told, elsewhere = _told_in(sources), _elsewhere(sources)
     for run in sources.runs:
@@ -96,6 +97,7 @@ def parts(sources: Sources) -> Iterator[Part]:
                 papers,
                 [vars(one) for one in elsewhere[run.name]],
                 kinds,
+                explained,
                 [[str(p), h] for p, h in known.items()],
                 [sources.named(run.facts.config), _is_accepted(run, sources)],
                 _bytes_of(sources.configs / f"{run.facts.config}.yaml") if run.facts.tables else "",
@@ -223,7 +225,7 @@ def _page(
     page_text = _text_of(run, PAGE)
     content = Content.read(page_text) if page_text else None
     said = "\n\n".join(_said(content)) if content else ""
-    data = {
+    data: dict[str, Any] = {
         "run": run,
         "facts": facts,
         "show_name": shlex.quote(f"out/{facts.config}"),
@@ -268,6 +270,9 @@ def _page(
         ],
     }
     headings = [part for table in content.tables for part in (table.title, *table.header)] if content else []
+    notes = [note for table in content.tables for note in table.notes] if content else []
+    shown = [facts.title, shows, said, *headings, *notes, *(one.about for one in data["figures"])]
+    data["explained"] = glossary.used(glossary.words_of(sources), " ".join(shown))
     kinds = [kind for section in _SECTIONS for kind in facts.kinds(section)]
     told_of = [reason for reason, _ in differing]
     words = " ".join([facts.config, facts.title, shows, said, *told_of, *dict.fromkeys(headings), *kinds])
