@@ -228,14 +228,14 @@ def _draw_numbers(axes: Axes, search: PartitionSearch, ratio: np.ma.MaskedArray[
     for j, i in np.argwhere(~np.ma.getmaskarray(ratio)):
         at = (search.lower[i], search.upper[j])
         axes.text(*at, f"{ratio[j, i]:.2f}", fontsize=8, ha="center", va="center", bbox=NOTE)
-    kept = np.isfinite(search.loss)
-    axes.set_xlim(*_window(search.lower, np.any(kept, axis=1), search.best[0]))
-    axes.set_ylim(*_window(search.upper, np.any(kept, axis=0), search.best[1]))
-    # Which pair a number is of.
+    # Which pair a number is of; ticks widen the axes.
     for axis, points in ((axes.xaxis, search.lower), (axes.yaxis, search.upper)):
         axis.set_ticks(points, minor=True)
         axis.grid(visible=True, which="minor")
     axes.tick_params(which="minor", length=0)
+    kept = np.isfinite(search.loss)
+    axes.set_xlim(*_window(search.lower, np.any(kept, axis=1), search.best[0]))
+    axes.set_ylim(*_window(search.upper, np.any(kept, axis=0), search.best[1]))
 
 
 def _window(points: Array, kept: Flags, best: float) -> tuple[float, float]:
