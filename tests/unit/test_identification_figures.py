@@ -187,6 +187,8 @@ panels:
     partition: input
   - title: (b) points
     curves: [{estimator: one, show: [points, smoothed]}]
+    x_label: internal variable
+    y_label: output
     interval: [-2, 2]
     y_limits: [-2, 2]
     partition: output
@@ -355,6 +357,19 @@ class TestSearch:
         assert [text.get_text() for text in axes.texts] == ["failed: the matrix is singular"]
         assert not axes.lines
 
+    def test_few_pairs_are_numbers_on_a_grid_in_a_window_around_them(self, draw, monkeypatch):
+        search = partition_search()
+        kept = np.zeros(search.loss.shape, dtype=bool)
+        kept[-2:, -2:] = True
+        search.loss[~kept] = np.nan
+        search.loss[kept] = [2.0, 3.0, 2.5, 4.0]
+        monkeypatch.setitem(globals(), "partition_search", lambda: search)
+        axes = draw("search", SEARCH).axes[1]
+        assert [text.get_text() for text in axes.texts] == ["1.00", "1.25", "1.50", "2.00"]
+        assert [*axes.get_xticks(minor=True)] == [*search.lower]
+        low, high = axes.get_xlim()
+        assert search.lower.min() < low < search.lower[-2] < search.lower[-1] < high
+
     @pytest.mark.parametrize("scale", [1.0, 1e-12, 1e30])
     def test_levels_follow_the_values_whatever_their_scale(self, scale):
         loss = scale * (1.0 + np.linspace(0.0, 3.0, 101) ** 2)
@@ -386,6 +401,11 @@ class TestStaticFit:
             [STEADY_INPUT - 0.55, STEADY_INPUT + 0.52]
         )
         assert [text.get_text() for text in axes.texts] == ["failing failed: the matrix is singular"]
+
+    def test_a_panel_has_the_labels_of_the_figure_or_its_own(self, draw):
+        first, second = draw("static_fit", STATIC).axes
+        assert (first.get_xlabel(), first.get_ylabel()) == ("input, mL/s", "pH")
+        assert (second.get_xlabel(), second.get_ylabel()) == ("internal variable", "output")
 
     def test_points_and_smoothed_points_are_shown_where_asked_for(self, draw):
         axes = draw("static_fit", STATIC).axes[1]

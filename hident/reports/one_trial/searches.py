@@ -230,6 +230,7 @@ def _draw_numbers(axes: Axes, search: PartitionSearch, ratio: np.ma.MaskedArray[
         axes.text(*at, f"{ratio[j, i]:.2f}", fontsize=8, ha="center", va="center", bbox=NOTE)
     # Which pair a number is of; ticks widen the axes.
     for axis, points in ((axes.xaxis, search.lower), (axes.yaxis, search.upper)):
+        axis.remove_overlapping_locs = False
         axis.set_ticks(points, minor=True)
         axis.grid(visible=True, which="minor")
     axes.tick_params(which="minor", length=0)
