@@ -410,12 +410,12 @@ class Comparison(TableSpec):
             )
         if self.show == "ranks":
             size = " of the moduli" if best == "zero" else ""
-            counted = (
+            of_failures = (
                 "a failed trial counting as infinite"
                 if self.statistic == "median"
                 else "over the trials that did not fail"
             )
-            yield f"In brackets the {self.statistic}{size} of {self.metric}, {counted}."
+            yield f"In brackets the {self.statistic}{size} of {self.metric}, {of_failures}."
         if 0 < trials < (least := trials_to_tell(tests)):
             count = "One trial tells" if trials == 1 else f"{counted(trials, 'trial')} tell"
             yield f"{count} no two methods apart, whatever they give: {tests} tests take at least {least}."
