@@ -479,7 +479,7 @@ def _workers(executor: Executor | Client | int | None, plan: Plan) -> Workers:
     if executor is None:
         return SerialExecutor()
     if isinstance(executor, int) and not isinstance(executor, bool):
-        return make_executor(executor, plan.plugin_files)
+        return make_executor(executor, plan.plugin_files, [plan])
     terms = Terms.anywhere(plan.plugin_files, [plan])
     if dask.is_client(executor):
         return dask.DaskExecutor(lambda: executor, terms, own=False)

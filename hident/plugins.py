@@ -22,6 +22,7 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any
 
+from hident import loaded_code
 from hident.errors import ConfigError
 
 GROUP = "hident.plugins"
@@ -47,6 +48,7 @@ def load_built_in() -> None:
     """Import every built-in component, so that each can be named by its kind."""
     for module in built_in():
         importlib.import_module(module)
+    loaded_code.note_loaded("hident")
 
 
 def built_in() -> Iterator[str]:
@@ -143,7 +145,9 @@ class _Loader(SourceFileLoader):
         keep; and results are stored under a hash of the source.
         """
         path = self.get_filename(fullname)
-        return self.source_to_code(self.get_data(path), path)
+        source = self.get_data(path)
+        loaded_code.note(fullname, source)
+        return self.source_to_code(source, path)
 
     def exec_module(self, module: ModuleType) -> None:
         package = module.__name__.partition(".")[0]

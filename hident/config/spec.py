@@ -29,6 +29,7 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
+from hident import loaded_code
 from hident.config.expression import number
 from hident.config.load import Document, problems_of
 from hident.config.meanings import meanings
@@ -295,6 +296,8 @@ def component(family: Family, kind: str, *, source: str = "") -> Callable[[C], C
             raise ValueError(f"{family} '{kind}' is already defined in {other.__module__}")
         cls.family, cls.kind, cls.source = family, kind, source
         known[kind] = cls
+        if (package := cls.__module__.partition(".")[0]) != "hident":
+            loaded_code.note_loaded(package)
         return cls
 
     return register

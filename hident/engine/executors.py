@@ -27,6 +27,7 @@ from typing import Any, TypeVar
 from hident import arithmetic, plugins, stopping
 from hident.config.suggest import did_you_mean
 from hident.engine.experiment import Plan
+from hident.engine.fingerprint import libraries
 from hident.engine.work import Call, Terms, pin_blas
 from hident.errors import ConfigError
 
@@ -100,11 +101,12 @@ class Workers(Executor):
 
     def compare(self, theirs: str, worker: str) -> None:
         """Tell of an arithmetic that is not that of this process."""
-        if theirs != Terms.here(()).arithmetic and theirs not in self.others:
+        ours = libraries()["arithmetic"]
+        if theirs != ours and theirs not in self.others:
             self.others[theirs] = worker
             self.tell(
                 f"the worker on {worker} computes with another arithmetic than this process, so that last "
-                f"digits may differ within one result: '{theirs}' there, '{Terms.here(()).arithmetic}' here"
+                f"digits may differ within one result: '{theirs}' there, '{ours}' here"
             )
 
 
@@ -254,11 +256,15 @@ class PoolExecutor(Made):
         return f"signal {-code}" if code < 0 else f"exit code {code}" if code else ""
 
 
-def make_executor(workers: int, plugin_files: Iterable[Path] = ()) -> Workers:
-    """A serial executor for one worker, else a pool of processes."""
+def make_executor(workers: int, plugin_files: Iterable[Path] = (), plans: Iterable[Plan] = ()) -> Workers:
+    """A serial executor for one worker, else a pool of processes, which are to compute with the same code."""
     # This process fits a trial again for its figure.
     pin_blas()
-    return SerialExecutor() if workers == 1 else PoolExecutor(workers, tuple(plugin_files))
+    plugin_files = tuple(plugin_files)
+    for plan in plans if plugin_files and workers > 1 else ():
+        # What plugins import within functions is read for the keys.
+        _ = plan.keys
+    return SerialExecutor() if workers == 1 else PoolExecutor(workers, plugin_files)
 
 
 def named_executor(
@@ -274,7 +280,7 @@ def named_executor(
     if scheduler is not None and name not in (None, "dask"):
         raise ConfigError(f"--scheduler: is Dask's, and goes with --executor dask, not {name}")
     if scheduler is None and name in (None, "processes"):
-        return make_executor(workers, plugin_files)
+        return make_executor(workers, plugin_files, plans)
     pin_blas()
     terms = Terms.anywhere(plugin_files, plans)
     if scheduler is None and name != "dask":

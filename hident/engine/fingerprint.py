@@ -14,7 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from hident import arithmetic, plugins
+from hident import arithmetic, loaded_code, plugins
 from hident.config.spec import Spec
 from hident.engine.trial import digest
 
@@ -50,6 +50,7 @@ def fingerprint(specs: Iterable[Spec]) -> str:
     what used it, and nothing else. Tables and figures are left out, in the file of an estimator too, and so
     is what only they mention.
     """
+    _forget_hashes(loaded_code.reloads())
     return _of_modules(frozenset(modules(specs)), shown=False)
 
 
@@ -65,7 +66,15 @@ def without_source(specs: Iterable[Spec]) -> Iterator[Spec]:
 
 def code(named: Iterable[str]) -> str:
     """Hash of the code of loaded modules and of what they import, ever, of this package or their own."""
+    _forget_hashes(loaded_code.reloads())
     return _of_modules(frozenset(named), shown=True)
+
+
+@cache
+def _forget_hashes(reloads: int) -> None:
+    """Hash anew where a module was loaded again, as in a notebook: once for each number of reloads."""
+    _of_modules.cache_clear()
+    _of_module.cache_clear()
 
 
 @cache
@@ -90,7 +99,7 @@ def _of_module(module: str, *, shown: bool) -> tuple[str, tuple[str, ...]]:
     path = _path(module)
     if path is None or (not shown and module.startswith(_SHOWS)):
         return "", ()
-    source, loaded = path.read_bytes(), sys.modules.get(module)
+    source, loaded = loaded_code.source_of(module, path), sys.modules.get(module)
     try:
         tree = _code(source)
     except (SyntaxError, ValueError):  # Only a module that is not loaded yet can be broken.
@@ -209,8 +218,8 @@ def _mentioned_beside(module: str) -> set[str]:
     """What the other loaded modules of the same package mention."""
     package = module.partition(".")[0]
     others = [name for name in sys.modules if name.partition(".")[0] == package and name != module]
-    paths = filter(None, map(_path, others))
-    return set().union(*(_mentioned_in(path.read_bytes()) for path in paths))
+    found = ((name, path) for name in others if (path := _path(name)))
+    return set().union(*(_mentioned_in(loaded_code.source_of(*of)) for of in found))
 
 
 @cache

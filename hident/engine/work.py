@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import gc
-import hashlib
 import importlib
 import os
 import pickle
 import platform
 import socket
-import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import hident
-from hident import plugins
+from hident import loaded_code, plugins
 from hident.engine.chunks import timed
 from hident.engine.experiment import Plan
 from hident.engine.fingerprint import code, libraries, modules
@@ -64,11 +62,14 @@ class Terms:
     """Those whose code is compared, with what they import."""
     has: tuple[tuple[str, str], ...] = ()
     """What this process has; empty for processes on this machine, which have the same files."""
+    sources: tuple[tuple[str, str], ...] = ()
+    """Which sources of plugins this process has loaded: their files may change before a worker reads them."""
 
     @classmethod
     def here(cls, plugin_files: Iterable[Path]) -> Terms:
         """Of processes on this machine."""
-        return cls(tuple(plugin_files), libraries()["arithmetic"])
+        sources = tuple(sorted(loaded_code.known().items()))
+        return cls(tuple(plugin_files), libraries()["arithmetic"], sources=sources)
 
     @classmethod
     def anywhere(cls, plugin_files: Iterable[Path], plans: Iterable[Plan]) -> Terms:
@@ -130,6 +131,7 @@ def _pickled(call: object) -> bytes:
 
 @cache
 def _met(terms: Terms) -> str:
+    loaded_code.expect(dict(terms.sources))
     if terms.has:
         _meet(terms)
     else:
@@ -157,8 +159,6 @@ def _meet(terms: Terms) -> None:
             f"{name} cannot load what this process has loaded: {error}. A plugin must stand at the same path "
             "on every machine, or be installed there"
         ) from None
-    if changed := list(_changed()):
-        raise ConfigError(f"{name} has loaded {', '.join(changed)} before the file changed: start it anew")
     own = dict(_has(terms.modules, terms.plugins))
     differing = [f"{what}: {own[what]} there, {here} here" for what, here in terms.has if own[what] != here]
     if differing:
@@ -189,20 +189,3 @@ def _code(named: Iterable[str]) -> str:
         return code(module.__name__ for module in map(importlib.import_module, named))[:12]
     except ImportError as error:
         return f"none ({error})"
-
-
-_SEEN: dict[str, bytes] = {}
-
-
-def _changed() -> Iterator[str]:
-    """The own modules whose file is not what this process has loaded, as far as it was asked before.
-
-    A worker that stands may live on when its files change: it computes with the old ones, and a hash of the
-    new ones would not say so.
-    """
-    for name, module in sorted(sys.modules.items()):
-        file = getattr(module, "__file__", None)
-        if name.startswith("hident") and file is not None and Path(file).exists():
-            now = hashlib.sha256(Path(file).read_bytes()).digest()
-            if _SEEN.setdefault(name, now) != now:
-                yield name

@@ -36,7 +36,7 @@ LAYERS = (
     ("config",),
     ("__init__",),
     ("arithmetic",),
-    ("new_files",),
+    ("loaded_code", "new_files"),
     ("errors", "stopping"),
 )
 HEIGHT = {room: -level for level, rooms in enumerate(LAYERS) for room in rooms}

@@ -260,8 +260,8 @@ def test_a_worker_that_has_loaded_what_has_changed_since_is_refused(cluster: Clu
     cluster.run("-q")
     cluster.lab.probe("value += 1")
     error = cluster.run("-q", code=2)
-    assert f", process {worker} has loaded hident_plugin_" in error
-    assert ".probe before the file changed: start it anew" in error
+    assert f", process {worker} differs from this process: code of {cluster.lab.folder}: " in error
+    assert " here. Install the same there, and start it anew" in error
 
 
 def test_another_arithmetic_is_told_and_noted(cluster: Cluster, serial: dict[str, bytes]) -> None:

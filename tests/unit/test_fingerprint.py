@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from hident import plugins
+from hident import loaded_code, plugins
 from hident.arithmetic import identity
 from hident.config.spec import Component, Of, components
 from hident.engine import fingerprint as module
@@ -56,10 +56,14 @@ def _only_plugins_change(monkeypatch: pytest.MonkeyPatch) -> None:
     def of_module(name: str, *, shown: bool) -> tuple[str, tuple[str, ...]]:
         return (remembered if name.startswith("hident.") else anew)(name, shown=shown)
 
+    of_module.cache_clear = lambda: None  # type: ignore[attr-defined]
     monkeypatch.setattr(module, "_of_module", of_module)
 
 
 def _read_again() -> None:
+    """As a process that is started anew."""
+    for name in loaded_code.known():
+        loaded_code._forget(name)
     module._of_modules.cache_clear()
 
 
