@@ -482,6 +482,8 @@ def _workers(executor: Executor | Client | int | None, plan: Plan) -> Workers:
         return make_executor(executor, plan.plugin_files, [plan])
     terms = Terms.anywhere(plan.plugin_files, [plan])
     if dask.is_client(executor):
+        if getattr(executor, "asynchronous", False):
+            raise ConfigError("executor: must be a Client that waits for its answers (asynchronous=False)")
         return dask.DaskExecutor(lambda: executor, terms, own=False)
     if isinstance(executor, Executor):
         return Given(executor, usable_cores(), terms)

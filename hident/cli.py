@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
 import functools
 import inspect
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterable, Mapping
 from enum import StrEnum
 from pathlib import Path
@@ -214,7 +216,17 @@ def main() -> None:
     if lost := console.fault():
         print(f"error: standard output cannot be written ({lost})", file=sys.stderr)
         code = code or Exit.BAD_INPUT
+    if code == stopping.exit_code():
+        _leave_threads(code)
     sys.exit(code)
+
+
+def _leave_threads(code: int) -> None:
+    """End now where an executor's threads compute on, perhaps for ever: python would wait for them."""
+    here = threading.current_thread()
+    if any(thread is not here and not thread.daemon for thread in threading.enumerate()):
+        atexit._run_exitfuncs()
+        os._exit(code)
 
 
 def _exit_code() -> int:

@@ -68,7 +68,7 @@ class DaskExecutor(Workers):
         try:
             asked = self._client.run(unpickled, check, on_error="return")
         except OSError as error:
-            raise WorkersGone(f"the scheduler at {self._address} is gone ({error})") from None
+            raise WorkersGone(_gone(self._address, f" ({error})")) from None
         # Whoever has left meanwhile is asked nothing.
         answers = {address: answer for address, answer in asked.items() if not isinstance(answer, OSError)}
         wrong = [
@@ -117,10 +117,15 @@ async def _tell(client: Client, theirs: Any, future: Future[Any], address: str) 
     except KilledWorker as killed:
         future.set_exception(WorkerDied(killed.allowed_failures + 1))
     except (CancelledError, CommClosedError):
-        # Nobody cancels a call, but the client cancels all when it loses the scheduler.
-        future.set_exception(WorkersGone(f"the scheduler at {address} is gone"))
+        # A client cancels all calls when it loses the scheduler, and when somebody restarts the workers.
+        restarted = client.status == "running"
+        future.set_exception(WorkerDied(1) if restarted else WorkersGone(_gone(address)))
     except BaseException as error:
         future.set_exception(error)
+
+
+def _gone(address: str, why: str = "") -> str:
+    return f"the scheduler at {address} is gone{why}, and its workers with it"
 
 
 def _unusable(error: Exception) -> str:

@@ -14,11 +14,13 @@ import signal
 import sys
 import tempfile
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor
 from concurrent.futures import wait as wait_for
 from contextlib import ExitStack, contextmanager
+from functools import cache
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -50,7 +52,7 @@ class WorkerDied(Exception):
 
 
 class WorkersGone(Exception):
-    """The workers are out of reach, all of them and for good."""
+    """The workers are out of reach, all of them and for good: why."""
 
 
 class Workers(Executor):
@@ -140,9 +142,9 @@ class Given(Workers):
 class Made(Workers):
     """An executor that is made by a factory, and again by it where its workers are lost."""
 
-    def __init__(self, make: Callable[[], Executor], count: int, terms: Terms) -> None:
+    def __init__(self, make: Callable[[], Executor], count: int, terms: Terms, name: str = "") -> None:
         super().__init__(count)
-        self._make, self._terms = make, terms
+        self._make, self._terms, self._name = make, terms, name
         self._executor: Executor | None = None
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
@@ -151,7 +153,18 @@ class Made(Workers):
         with _as_workers_start():
             if self._executor is None:
                 self._executor = self._make()
-            return self._executor.submit(unpickled, call)
+            try:
+                future: Any = self._executor.submit(_called, call, os.getpid())
+            except (BrokenExecutor, KeyboardInterrupt):
+                raise
+            except BaseException as error:
+                said = f"{type(error).__name__}: {error}".rstrip(": ")
+                raise WorkersGone(f"the executor {self._name} takes no calls ({said})") from None
+        if not isinstance(future, Future):
+            raise ConfigError(
+                f"--executor: submit of {self._name} must give a concurrent.futures.Future (got {future!r})"
+            )
+        return future
 
     def start(self) -> None:
         for left in reversed(range(_STARTS)):
@@ -179,7 +192,8 @@ class Made(Workers):
 
     def kill(self) -> None:
         for worker in multiprocessing.active_children():
-            worker.terminate()
+            # SIGTERM is blocked in what is started here; loky's cannot kill.
+            getattr(worker._popen, "kill", worker.terminate)()  # type: ignore[attr-defined]
         self.shutdown(wait=False)
 
 
@@ -284,7 +298,7 @@ def named_executor(
     pin_blas()
     terms = Terms.anywhere(plugin_files, plans)
     if scheduler is None and name != "dask":
-        return Made(_factory(str(name), workers), workers, terms)
+        return Made(_factory(str(name), workers), workers, terms, str(name))
     from hident.engine import dask
 
     return dask.local(workers, terms) if scheduler is None else dask.joined(scheduler, terms)
@@ -302,8 +316,9 @@ def _factory(name: str, workers: int) -> Callable[[], Executor]:
     sys.path.insert(0, "")
     try:
         module = importlib.import_module(module_name)
-    except ImportError as error:
-        raise ConfigError(f"--executor: the module of '{name}' cannot be imported: {error}") from None
+    except (Exception, SystemExit) as error:
+        said = str(error) if isinstance(error, ImportError) else f"{type(error).__name__}: {error}"
+        raise ConfigError(f"--executor: the module of '{name}' cannot be imported: {said}") from None
     finally:
         sys.path.remove("")
     found = getattr(module, attribute, None)
@@ -314,7 +329,7 @@ def _factory(name: str, workers: int) -> Callable[[], Executor]:
     def make() -> Executor:
         try:
             made = found(workers)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise ConfigError(f"--executor: {name}({workers}): {type(error).__name__}: {error}") from error
         if isinstance(made, Executor):
             return made
@@ -328,6 +343,28 @@ def _factory(name: str, workers: int) -> Callable[[], Executor]:
 def unpickled(call: bytes) -> Any:
     """Run a call that was pickled."""
     return pickle.loads(call)()
+
+
+def _called(call: bytes, run: int) -> Any:
+    """Run a call that was pickled; a process that the run has started ends with it."""
+    _watch(run)
+    return unpickled(call)
+
+
+@cache
+def _watch(run: int) -> None:
+    parent = multiprocessing.parent_process()
+    # That of loky's has no sentinel.
+    if parent is not None and parent.pid == run and getattr(parent, "_sentinel", None) is not None:
+        threading.Thread(target=_end_with_parent, daemon=True).start()
+    elif os.getppid() == run:
+        threading.Thread(target=_end_without, args=(run,), daemon=True).start()
+
+
+def _end_without(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(1)
 
 
 @contextmanager

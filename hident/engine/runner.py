@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import threading
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -27,7 +27,7 @@ from hident.engine.timing import timings
 from hident.engine.trial import Outcome
 from hident.engine.unit_trials import Recent, UnitTrials
 from hident.engine.work import Done, Terms, compute
-from hident.errors import TrialsCrashed
+from hident.errors import ConfigError, TrialsCrashed
 
 _POLL_SECONDS = 0.1
 _HELD = 8_000_000
@@ -183,10 +183,9 @@ class _Run:
                 self._compute()
             except BrokenExecutor:
                 raise WorkerEnded(kept=self._kept) from None
-            except WorkersGone as gone:
-                raise TrialsCrashed(
-                    f"{gone}, and its workers with it.\n{_fate(kept=self._kept)}: run again."
-                ) from None
+            except (WorkersGone, CancelledError) as gone:
+                why = f"{gone}" or "the executor has cancelled calls of the run"
+                raise TrialsCrashed(f"{why}.\n{_fate(kept=self._kept)}: run again.") from None
             if self._crashes:
                 raise CrashReport(self._crashes, kept=self._kept)
         return Results(
@@ -262,12 +261,12 @@ class _Run:
     def _collect(self) -> None:
         done = wait(self._pending, _POLL_SECONDS, FIRST_COMPLETED).done
         self._take(done)
-        if any(isinstance(future.exception(), BrokenExecutor) for future in done):
+        if any(_has_failed(future) and isinstance(future.exception(), BrokenExecutor) for future in done):
             self._renew()
 
     def _take(self, futures: Iterable[Future[Done]]) -> None:
         """Keep what is finished, before an error ends the run; leave what was lost with a broken executor."""
-        for future in sorted(futures, key=lambda future: future.exception() is not None):
+        for future in sorted(futures, key=_has_failed):
             try:
                 done = future.result()
             except BrokenExecutor:
@@ -275,6 +274,8 @@ class _Run:
             except WorkerDied as died:
                 self._lost(self._pending.pop(future), died.deaths, "")
                 continue
+            if not isinstance(done, Done):
+                raise ConfigError(f"executor: gave no answer of the call that it was given (got {done!r})")
             chunk = self._pending.pop(future).chunk
             chunk.case.seconds = done.seconds / len(chunk.trials)
             self._idle_losses = 0
@@ -350,6 +351,10 @@ class _Run:
         said = f"{self._plan.name}: trial {trial} of {unit.described()}: {reason}"
         of = {"config": self._plan.name, "case": unit.labels, "estimator": unit.name, "trial": trial}
         warn(event, said, **of, reason=reason)
+
+
+def _has_failed(future: Future[Done]) -> bool:
+    return future.cancelled() or future.exception() is not None
 
 
 @contextmanager
