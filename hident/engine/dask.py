@@ -49,7 +49,10 @@ class DaskExecutor(Workers):
         if time.monotonic() > self._counted + _SECONDS and self._client.status == "running":
             # That the scheduler is gone, the calls that are under way will say.
             with suppress(OSError):
-                self.count = sum(self._client.nthreads().values())
+                now = sum(self._client.nthreads().values())
+                if self.count and not now:
+                    self._tell_of_none()
+                self.count = now
             self._counted = time.monotonic()
         return 3 * max(1, self.count)
 
@@ -62,7 +65,7 @@ class DaskExecutor(Workers):
                 self._client = self._connect()
         self._address = self._client.scheduler.address
         if not self._client.nthreads():
-            self.tell(f"the scheduler at {self._address} has no workers: waiting for one")
+            self._tell_of_none()
             self._client.wait_for_workers(1)
         check = pickle.dumps(Call(self._terms, self._terms.met))
         try:
@@ -81,6 +84,9 @@ class DaskExecutor(Workers):
             raise ConfigError("\n".join(wrong[:_SHOWN]) + more)
         for address, theirs in answers.items():
             self.compare(theirs, address)
+
+    def _tell_of_none(self) -> None:
+        self.tell(f"the scheduler at {self._address} has no workers: waiting for one")
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
         call = pickle.dumps(Call(self._terms, fn, *args, **kwargs))

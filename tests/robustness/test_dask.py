@@ -47,7 +47,9 @@ class Cluster:
         )
         lab.await_(self.file.exists)
 
-    def worker(self, sitecustomize: str = "", *, pinned: bool = True, **environment: str) -> int:
+    def worker(
+        self, sitecustomize: str = "", *, pinned: bool = True, nanny: bool = False, **environment: str
+    ) -> int:
         """Start a worker and wait until it has joined: its process."""
         if sitecustomize:
             folder = self.lab.folder / f"site{len(self.processes)}"
@@ -55,7 +57,8 @@ class Cluster:
             (folder / "sitecustomize.py").write_text(sitecustomize)
             environment["PYTHONPATH"] = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
         under = ("-m", "hident.pinned") if pinned else ()
-        process = self._start(*under, *_WORKER, "--scheduler-file", self.file, **environment)
+        how = [part for part in _WORKER if not nanny or part != "--no-nanny"]
+        process = self._start(*under, *how, "--scheduler-file", self.file, **environment)
         log = self._log(len(self.processes) - 1)
         self.lab.await_(lambda: "Registered to" in log.read_text() or process.poll() is not None)
         return process.pid
@@ -103,7 +106,8 @@ class Cluster:
 
     def end(self) -> None:
         for process in self.processes:
-            process.kill()
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
             process.wait(GUARD_SECONDS)
 
 
@@ -293,6 +297,60 @@ def test_a_scheduler_that_is_gone_ends_the_run_and_the_next_one_resumes(
     held.lab.run("-q")
     assert before.items() <= held.lab.trials().items()
     assert _files(held.lab) == serial
+
+
+@pytest.mark.long
+def test_workers_that_somebody_restarts_have_lost_their_chunks_and_no_more(
+    held: Cluster, serial: dict[str, bytes]
+) -> None:
+    held.worker(nanny=True)
+    process = held.begin()
+    restart = """
+import json
+from distributed import Client
+with Client(json.load(open("scheduler.json"))["address"]) as client:
+    client.restart()
+"""
+    subprocess.run([sys.executable, "-c", restart], cwd=held.lab.folder, timeout=GUARD_SECONDS, check=True)
+    held.release()
+    assert process.wait(GUARD_SECONDS) == 0, held.lab.log
+    assert _files(held.lab) == serial
+
+
+def test_workers_that_are_all_gone_are_told_and_waited_for(held: Cluster, serial: dict[str, bytes]) -> None:
+    held.worker()
+    process = held.begin()
+    os.kill(held.holding()[0], signal.SIGKILL)
+    held.lab.await_(lambda: " has no workers: waiting for one\n" in held.lab.log)
+    held.release()
+    held.worker()
+    assert process.wait(GUARD_SECONDS) == 0, held.lab.log
+    assert _files(held.lab) == serial
+
+
+def test_a_client_that_does_not_wait_is_refused(cluster: Cluster) -> None:
+    script = """
+import asyncio, json
+from distributed import Client
+import hident as hi
+async def main():
+    async with Client(json.load(open("scheduler.json"))["address"], asynchronous=True) as client:
+        try:
+            hi.run("tiny.yaml", executor=client)
+        except hi.ConfigError as error:
+            print(error)
+asyncio.run(main())
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=cluster.lab.folder,
+        capture_output=True,
+        text=True,
+        timeout=GUARD_SECONDS,
+        check=False,
+    )
+    said = "executor: must be a Client that waits for its answers (asynchronous=False)\n"
+    assert (done.returncode, done.stdout) == (0, said), done.stderr
 
 
 @pytest.mark.long
