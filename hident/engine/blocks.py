@@ -77,9 +77,13 @@ class Block:
 
 
 def _shortest(values: Array) -> Array:
-    with np.errstate(over="ignore"):
-        short = values.astype("<f4")
-    return short if np.array_equal(short, values, equal_nan=True) else values.astype("<f8")
+    # Of most, the first trial says already that four bytes are too few.
+    for some in (values[:1], values):
+        with np.errstate(over="ignore"):
+            short = some.astype("<f4")
+        if not np.array_equal(short, some, equal_nan=True):
+            return values.astype("<f8")
+    return short
 
 
 def blocks_of(key: str, scores: Scores) -> Iterator[tuple[Block, bytes]]:
