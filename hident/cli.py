@@ -6,7 +6,9 @@ import atexit
 import errno
 import functools
 import inspect
+import multiprocessing
 import os
+import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Mapping
@@ -203,6 +205,8 @@ Listed = StrEnum(
 _LIMITS = {errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN}
 """Files, memory and processes."""
 
+_SECONDS_TO_END = 5.0
+
 
 def main() -> None:
     """Entry point of the console script."""
@@ -222,10 +226,17 @@ def main() -> None:
 
 
 def _leave_threads(code: int) -> None:
-    """End now where an executor's threads compute on, perhaps for ever: python would wait for them."""
+    """End soon where threads or processes of an executor compute on, perhaps for ever: python would wait."""
     here = threading.current_thread()
-    if any(thread is not here and not thread.daemon for thread in threading.enumerate()):
-        atexit._run_exitfuncs()
+    threads = [thread for thread in threading.enumerate() if thread is not here and not thread.daemon]
+    children = multiprocessing.active_children()
+    if threads or children:
+        for child in children:
+            os.kill(child.pid or os.getpid(), getattr(signal, "SIGKILL", signal.SIGTERM))
+        # What is to be done at the end may wait for them too.
+        ending = threading.Thread(target=atexit._run_exitfuncs, daemon=True)
+        ending.start()
+        ending.join(_SECONDS_TO_END)
         os._exit(code)
 
 
