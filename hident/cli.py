@@ -253,16 +253,23 @@ def _exit_code() -> int:
         return Exit.INTERRUPTED
     except BaseException as error:
         cause = error.__cause__ if isinstance(error, _Unforeseen) and error.__cause__ else error
-        if isinstance(cause, OSError) and cause.errno in _LIMITS:
+        if limit := _limit(cause):
             print(
-                f"error: the system gives this program no more ({cause.strerror}): raise its limits "
-                "(ulimit -a shows them), or run with fewer --jobs",
+                f"error: the system gives this program no more ({limit}): raise its limits (ulimit -a shows "
+                "them), or run with fewer --jobs",
                 file=sys.stderr,
             )
             return Exit.BAD_INPUT
         _report(cause)
         return Exit.UNFORESEEN
     return Exit.FINE
+
+
+def _limit(error: BaseException) -> str:
+    """What the system gave no more of; empty if the error is another one."""
+    if isinstance(error, MemoryError):
+        return str(error) or "out of memory"
+    return str(error.strerror) if isinstance(error, OSError) and error.errno in _LIMITS else ""
 
 
 def _report(error: BaseException) -> None:

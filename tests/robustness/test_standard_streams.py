@@ -171,10 +171,18 @@ _FAULTS = {
 def test_an_unforeseen_exception_has_its_own_exit_code_and_a_file(lab: Lab) -> None:
     (lab.folder / "all.py").write_text(_ALL_FAULTS)
     (lab.folder / "faults.txt").write_text(
-        "\n".join([*_FAULTS, "KeyboardInterrupt", "OSError(24, 'Too many')", "KeyError('a')  # no room"])
+        "\n".join(
+            [
+                *_FAULTS,
+                "KeyboardInterrupt",
+                "OSError(24, 'Too many')",
+                "MemoryError()",
+                "KeyError('a')  # no room",
+            ]
+        )
     )
     done = _sh(lab, f"{sys.executable} all.py", TMPDIR=str(lab.folder))
-    assert done.stdout == "[70, 70, 70, 70, 130, 2, 70]\n"
+    assert done.stdout == "[70, 70, 70, 70, 130, 2, 2, 70]\n"
     lines = done.stderr.splitlines()
     for line, said in zip(lines, _FAULTS.values(), strict=False):
         start = f"error: unforeseen, a fault of hident: {said}; the traceback is in "
@@ -184,10 +192,11 @@ def test_an_unforeseen_exception_has_its_own_exit_code_and_a_file(lab: Lab) -> N
         text = file.read_text(encoding="utf-8")
         assert "Traceback (most recent call last)" in text
         assert "['list', 'estimators']" in text
-    assert lines[4].startswith("error: the system gives this program no more (Too many): raise its limits")
+    for line, said in zip(lines[4:6], ("Too many", "out of memory"), strict=True):
+        assert line.startswith(f"error: the system gives this program no more ({said}): raise its limits")
     # Without a file the traceback itself is shown.
-    assert lines[5] == "error: unforeseen, a fault of hident: KeyError: 'a'; the traceback:"
-    assert lines[6] == "Traceback (most recent call last):"
+    assert lines[6] == "error: unforeseen, a fault of hident: KeyError: 'a'; the traceback:"
+    assert lines[7] == "Traceback (most recent call last):"
     assert "KeyError: 'a'" in lines[-1] or "KeyError: 'a'" in lines[-2]
 
 
