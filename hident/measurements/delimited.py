@@ -6,6 +6,7 @@ NumPy's reader goes first, as it is many times faster, and its answer counts whe
 
 from __future__ import annotations
 
+import codecs
 import csv
 import math
 import re
@@ -25,10 +26,13 @@ _POINT = "."
 _COMMENTS = ("#", "%")
 _QUOTED = re.compile('"[^"]*"')
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x19\x1b-\x1f]")
-_MISSING = {"", "nan", "na", "n/a", "#n/a", "#nv", "null", "none"}
+# Spreadsheets write what they could not compute as #N/A, #NV, #DIV/0!, #WERT!, #NAME? and the like.
+_MISSING = re.compile(r"|nan|na|n/a|null|none|#n/?[av]|#[^\W_]+(/0)?[!?]", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 # What may be thousands as well: groups of three digits, and no zero before them.
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
+# Excel's own first line, which it does not show.
+_SAYS_SEPARATOR = re.compile(r'"?sep=(.)"?', re.IGNORECASE)
 # So many lines tell what parts the values.
 _LOOKED_AT = 20
 
@@ -76,7 +80,9 @@ class _Table:
         i = 0
         while i < len(lines) - 1 and (not lines[i].strip() or lines[i].lstrip().startswith(_COMMENTS)):
             i += 1
-        separator = _separator(lines[i:])
+        if (says := _SAYS_SEPARATOR.fullmatch(lines[i].strip(" "))) and i < len(lines) - 1:
+            i += 1
+        separator = says[1] if says and says[1] in _SEPARATORS else _separator(lines[i:])
         cells = _full(next(iter(_rows([lines[i]], separator)), (0, []))[1])
         named = not cells or not all(_is_number_of_any(cell) for cell in cells if cell)
         names = cells if named else [str(1 + k) for k in range(len(cells))]
@@ -147,7 +153,7 @@ class _Table:
         return ","
 
     def _value(self, text: str, place: int, where: str, blanks: bool, decimal: str) -> float:
-        if blanks and text.lower() in _MISSING:
+        if blanks and _MISSING.fullmatch(text):
             return math.nan
         number = text
         if decimal != _POINT and _DECIMAL_COMMA.fullmatch(text):
@@ -160,7 +166,7 @@ class _Table:
         hint = ""
         if self.named and text == self.names[place]:
             hint = "; the names of the columns stand here once more"
-        elif text.lower() in _MISSING:
+        elif _MISSING.fullmatch(text):
             hint = SPLIT
         elif decimal == _POINT and _DECIMAL_COMMA.fullmatch(text):
             hint = "; by 'decimal', numbers are written with a decimal point"
@@ -191,15 +197,16 @@ def _is_number_of_any(text: str) -> bool:
 
 
 def _text(raw: bytes) -> str:
+    # Spreadsheets begin their files with a mark that is no part of the first name; their "Unicode text" is UTF-16.
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raw = raw.decode("utf-16").encode()
     if _CONTROL.search(raw):
         raise NotText
     try:
-        # Spreadsheets begin their files with a mark that is no part of the first name.
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError:
-        # Older programs write names, with their units, in the letters of Western Europe.
-        first, end, rest = raw.partition(b"\n")
-        return (first + end).decode("cp1252") + rest.decode("ascii")
+        # Older programs write in the letters of Western Europe.
+        return raw.decode("cp1252")
 
 
 def _rows(lines: Sequence[str], separator: str) -> Iterator[tuple[int, list[str]]]:

@@ -92,7 +92,8 @@ def test_what_is_wrong_with_the_columns_of_an_npz_file(tmp_path):
     ("name", "content", "message"),
     [
         ("valve.npz", b"no archive", ": cannot be read: it is no NPZ file"),
-        ("valve.csv", b"u,y\n\xff,1\n", ": cannot be read: it is no CSV file"),
+        ("valve.csv", b"u,y\n\x81,1\n", ": cannot be read: it is no CSV file"),
+        ("valve.csv", b"u,y\n\xff,1\n", ":2: column 'u': must be a finite number (got 'ÿ')"),
         (
             "valve.xlsx",
             b"",

@@ -70,6 +70,29 @@ def test_names_may_hold_separators_and_letters_of_old_programs(tmp_path):
     assert columns(path, "flow, l/min", "T in °C") == [[1.0, 3.0], [2.0, 4.0]]
 
 
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-8", "utf-8-sig", "utf-16"])
+def test_what_spreadsheets_write_is_read(tmp_path, encoding):
+    lines = ["sep=;", "Füllstand [cm];Öffnung;Bemerkung", "1,5;2;läuft, gut", "2,5;3;", ""]
+    path = written(tmp_path, "\r\n".join(lines).encode(encoding))
+    assert columns(path, "Füllstand [cm]", "Öffnung") == [[1.5, 2.5], [2.0, 3.0]]
+    flawed = written(tmp_path, "\r\n".join([*lines[:3], "x;3;"]).encode(encoding), "flawed.csv")
+    assert said(flawed, ["Füllstand [cm]"]).startswith(":4: column 'Füllstand [cm]': must be a finite number")
+
+
+def test_a_line_that_names_the_separator_is_believed(tmp_path):
+    path = written(tmp_path, "SEP=,\nu,y;z\n1,2;3\n")
+    assert columns(path, "u") == [[1.0]]
+
+
+@pytest.mark.parametrize(
+    "error", ["#DIV/0!", "#WERT!", "#VALUE!", "#NUM!", "#ZAHL!", "#REF!", "#NAME?", "#NV", "#N/A"]
+)
+def test_what_a_spreadsheet_could_not_compute_is_missing(tmp_path, error):
+    path = written(tmp_path, f"u,y\n1,2\n{error},3\n4,5\n")
+    np.testing.assert_array_equal(read_columns(path, ["u"], blanks=True)[0], [1.0, np.nan, 4.0])
+    assert said(path) == f":3{NO_NUMBER} (got '{error}'){SPLIT}"
+
+
 def test_numbers_in_quotation_marks_and_comments_before_the_first_line(tmp_path):
     path = written(tmp_path, '# made by a logger\n%\n\n"u","y"\n"1","2"\n\n"3","4"\n')
     assert columns(path, "u", "y") == [[1.0, 3.0], [2.0, 4.0]]
