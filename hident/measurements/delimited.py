@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,9 @@ _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x19\x1b-\x1f]")
 # Spreadsheets write what they could not compute as #N/A, #NV, #DIV/0!, #WERT!, #NAME? and the like.
 _MISSING = re.compile(r"|nan|na|n/a|null|none|#n/?[av]|#[^\W_]+(/0)?[!?]", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
+_DAY_FIRST = re.compile(r"(\d\d?)\.(\d\d?)\.(\d{4})(?:[T ]+(\d\d?)(:.+))?")
+_DATES = "dates such as 2024-03-01 12:00:00.5 or 01.03.2024 12:00"
+_OTHER_DATE = re.compile(r"\d+[-/:.]\d+[-/:.]")
 # What may be thousands as well: groups of three digits, and no zero before them.
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
 # Excel's own first line, which it does not show.
@@ -42,9 +46,16 @@ class NotText(Exception):
 
 
 def read_delimited(
-    path: Path, wanted: Sequence[Column], *, blanks: bool = False, decimal: str | None = None
+    path: Path,
+    wanted: Sequence[Column],
+    *,
+    blanks: bool = False,
+    times: Column | None = None,
+    decimal: str | None = None,
 ) -> list[Array]:
     """The wanted columns, each of shape (N,); with ``blanks``, nan where a value is missing.
+
+    The column ``times`` may hold dates: it is in seconds since the first one then.
 
     ``decimal`` is what stands before the decimals, a point or a comma; None: what the numbers show.
 
@@ -59,7 +70,10 @@ def read_delimited(
     asked = places(path, wanted, table.names, named=table.named)
     table.check_first_line(wanted, asked)
     quick = None if decimal == "," else table.quickly(asked, blanks)
-    return quick or table.carefully(asked, blanks, decimal)
+    if quick:
+        return quick
+    clock = None if times is None else places(path, [times], table.names, named=table.named)[0]
+    return table.carefully(asked, blanks, decimal, clock)
 
 
 @dataclass(frozen=True)
@@ -84,7 +98,7 @@ class _Table:
             i += 1
         separator = says[1] if says and says[1] in _SEPARATORS else _separator(lines[i:])
         cells = _full(next(iter(_rows([lines[i]], separator)), (0, []))[1])
-        named = not cells or not all(_is_number_of_any(cell) for cell in cells if cell)
+        named = not cells or not all(_is_number_of_any(cell) or _date(cell) for cell in cells if cell)
         names = cells if named else [str(1 + k) for k in range(len(cells))]
         return cls(path, separator, tuple(names), named, i + 1, lines[i + 1 :] if named else lines[i:])
 
@@ -121,8 +135,10 @@ class _Table:
         extra = line.count(self.separator) + 1 - len(self.names)
         return extra == 0 or (extra == 1 and line.rstrip(" ").endswith(self.separator))
 
-    def carefully(self, asked: Sequence[int], blanks: bool, decimal: str | None) -> list[Array]:
-        """The columns cell by cell."""
+    def carefully(
+        self, asked: Sequence[int], blanks: bool, decimal: str | None, clock: int | None
+    ) -> list[Array]:
+        """The columns cell by cell; that at ``clock`` may hold dates."""
         samples: list[tuple[str, list[str]]] = []
         for number, row in _rows(self.body, self.separator):
             where = f"{self.path}:{self.first + self.named + number - 1}"
@@ -133,8 +149,15 @@ class _Table:
                 )
             samples.append((where, [row[place] for place in asked]))
         decimal = decimal or self._decimal(samples)
+        times = [(where, row[asked.index(clock)]) for where, row in samples] if clock in asked else []
+        seconds = _seconds(times)
         values = [
-            [self._value(text, place, where, blanks, decimal) for text, place in zip(row, asked, strict=True)]
+            [
+                seconds[where]
+                if place == clock and where in seconds
+                else self._value(text, place, where, blanks, decimal)
+                for text, place in zip(row, asked, strict=True)
+            ]
             for where, row in samples
         ]
         return list(np.array(values, dtype=float).reshape(-1, len(asked)).T.copy())
@@ -197,7 +220,8 @@ def _is_number_of_any(text: str) -> bool:
 
 
 def _text(raw: bytes) -> str:
-    # Spreadsheets begin their files with a mark that is no part of the first name; their "Unicode text" is UTF-16.
+    # Spreadsheets begin their files with a mark that is no part of the first name. Their "Unicode text" is
+    # UTF-16.
     if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raw = raw.decode("utf-16").encode()
     if _CONTROL.search(raw):
@@ -207,6 +231,34 @@ def _text(raw: bytes) -> str:
     except UnicodeDecodeError:
         # Older programs write in the letters of Western Europe.
         return raw.decode("cp1252")
+
+
+def _seconds(times: Sequence[tuple[str, str]]) -> dict[str, float]:
+    """Seconds since the first date, by where each stands; empty if the times are no dates."""
+    start = next((date for _, text in times if (date := _date(text))), None)
+    seconds = {}
+    for where, text in times:
+        date = _date(text)
+        if date is None and ((start and not _MISSING.fullmatch(text)) or _OTHER_DATE.match(text)):
+            raise ConfigError(f"{where}: the times must be numbers, or {_DATES} (got '{text}')")
+        if start and date:
+            if (date.tzinfo is None) != (start.tzinfo is None):
+                raise ConfigError(f"{where}: all times must have an offset from UTC, or none (got '{text}')")
+            seconds[where] = (date - start).total_seconds()
+    return seconds
+
+
+def _date(text: str) -> datetime | None:
+    """A date as ISO 8601 or, with points, the day first; None if it is none, or a number."""
+    if _is_number_of_any(text):
+        return None
+    if day_first := _DAY_FIRST.fullmatch(text):
+        day, month, year, hour, rest = day_first.groups()
+        text = f"{year}-{month:0>2}-{day:0>2}" + (f"T{hour:0>2}{rest}" if hour else "")
+    try:
+        return datetime.fromisoformat(text)
+    except ValueError:
+        return None
 
 
 def _rows(lines: Sequence[str], separator: str) -> Iterator[tuple[int, list[str]]]:

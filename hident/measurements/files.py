@@ -25,7 +25,12 @@ class _NoSuchFormat(Exception):
 
 
 def read_columns(
-    path: Path, wanted: Sequence[Column], *, blanks: bool = False, decimal: str | None = None
+    path: Path,
+    wanted: Sequence[Column],
+    *,
+    blanks: bool = False,
+    times: Column | None = None,
+    decimal: str | None = None,
 ) -> list[Array]:
     """The wanted columns of a file, float64 of shape (N,).
 
@@ -41,6 +46,9 @@ def read_columns(
         The names of the columns, or their numbers from 1.
     blanks : bool
         Whether a value may be missing (an empty cell, na or nan): it is nan.
+    times : str or int, optional
+        The column that may hold dates in text (ISO 8601, or 31.12.2024 12:00): it is in seconds since the
+        first one then.
     decimal : {".", ","}, optional
         What stands before the decimals of numbers in text; by default what they show.
 
@@ -63,7 +71,7 @@ def read_columns(
         if reader is None:
             *rest, last = _READERS
             raise ConfigError(f"{path}: the name must end in {one_of(rest)} or {last}")
-        of_text = {"decimal": decimal} if reader is read_delimited else {}
+        of_text = {"times": times, "decimal": decimal} if reader is read_delimited else {}
         return _of_one_length(path, wanted, reader(path, wanted, blanks=blanks, **of_text))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None

@@ -178,7 +178,7 @@ class MeasuredRecord(Spec):
     dt: Annotated[Real, Field(gt=0)] | None = None
     """Sampling interval; leave it out in discrete time, or where a column has the times."""
     time: Annotated[Column, BeforeValidator(_column), WithJsonSchema(_COLUMN)] | None = None
-    """The column of the sampling times, in place of dt; they must be even unless resample is given."""
+    """The column of the sampling times (numbers or dates), in place of dt; even unless resample is given."""
     estimation: Range | None = None
     """The samples to estimate from, such as 1..800, in each experiment, counted from 1; all by default."""
     validation: Annotated[Selection, BeforeValidator(_selection), _Shorthands()] | None = None
@@ -267,7 +267,9 @@ class MeasuredRecord(Spec):
 
     def _read(self, folder: Path) -> Record:
         # A range for validation is of the same columns.
-        columns = cache(partial(read_columns, blanks=self.gaps == "split", decimal=self.decimal))
+        columns = cache(
+            partial(read_columns, blanks=self.gaps == "split", times=self.time, decimal=self.decimal)
+        )
         experiments = self._experiments(folder, Selection(samples=self.estimation), columns)
         offset = self._offset(experiments)
         record = self._record(experiments, offset)
@@ -437,7 +439,8 @@ def read(
     dt : float, optional
         Sampling interval; leave it out in discrete time.
     time : str or int, optional
-        The column of the sampling times, in place of ``dt``; they must be evenly spaced.
+        The column of the sampling times, in place of ``dt``; they must be evenly spaced. Dates in text
+        count in seconds.
     **prepared
         What else a :class:`MeasuredRecord` says: ``estimation``, ``validation``, ``detrend``, ``offset``,
         ``resample``, ``decimate``, ``decimal``, ``missing``, ``gaps``, ``units``.

@@ -321,3 +321,37 @@ def test_a_broken_archive_is_refused_wherever_it_is_broken(tmp_path):
                     read_columns(path, ["u", "y"])
                 except ConfigError as error:
                     assert str(error).startswith(f"{path}: ")
+
+
+@pytest.mark.parametrize(
+    "dates",
+    [
+        ["2024-02-29T23:59:59.5", "2024-03-01T00:00:00", "2024-03-01T00:00:00.500"],
+        ["2024-02-29 23:59:59,5", "2024-03-01 00:00:00", "2024-03-01 00:00:00,5"],
+        ["2024-02-29T23:59:59.5Z", "2024-03-01T01:00:00+01:00", "2024-03-01T00:00:00.5Z"],
+        ["29.02.2024 23:59:59,5", "1.3.2024 0:00:00", "01.03.2024 00:00:00,5"],
+    ],
+)
+@pytest.mark.parametrize("names", ["t;u\n", ""])
+def test_dates_are_seconds_since_the_first_one(tmp_path, dates, names):
+    path = written(tmp_path, names + "".join(f"{date};{k},25\n" for k, date in enumerate(dates)))
+    expected = [[0.0, 0.5, 1.0], [0.25, 1.25, 2.25]]
+    assert [c.tolist() for c in read_columns(path, [1, 2], times=1)] == expected
+    # A date is no value of a signal.
+    assert "must be a finite number (got '" in said(path, [1, 2])
+
+
+def test_a_date_that_is_missing_or_none_is_said(tmp_path):
+    path = written(tmp_path, "t,u\n2024-03-01,1\n,2\n2024-03-02,3\n")
+    t, _ = read_columns(path, ["t", "u"], times="t", blanks=True)
+    np.testing.assert_array_equal(t, [0.0, np.nan, 86400.0])
+    assert said(path, ["t"], times="t") == f":3: column 't': must be a finite number (got ''){SPLIT}"
+    asked = "the times must be numbers, or dates such as 2024-03-01 12:00:00.5 or 01.03.2024 12:00"
+    for before, text in (("", "12:00:00"), ("", "03/01/2024 12:00"), ("2024-03-01,1\n", "7")):
+        path = written(tmp_path, f"t,u\n{before}{text},1\n")
+        line = 2 + before.count("\n")
+        assert said(path, ["t"], times="t") == f":{line}: {asked} (got '{text}')"
+    path = written(tmp_path, "t,u\n2024-03-01T12:00,1\n2024-03-01T12:01Z,2\n")
+    assert said(path, ["t"], times="t") == (
+        ":3: all times must have an offset from UTC, or none (got '2024-03-01T12:01Z')"
+    )
