@@ -156,6 +156,10 @@ _WHICH: Mapping[str, Any] = {
             help="For validation: FIRST..LAST, two columns INPUT,OUTPUT, or a file.",
         ),
     ],
+    "units": Annotated[
+        str | None,
+        typer.Option(metavar="IN,OUT,TIME", help="Units of input, output and time, such as V,degC,s."),
+    ],
 }
 """Which samples are meant, by the fields of a record."""
 _HOW: Mapping[str, Any] = {

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hident.errors import ConfigError
-from hident.measurements.measured_record import MeasuredRecord
+from hident.measurements.measured_record import MeasuredRecord, Units
 
 _OPTIONS = {"estimation": "estimate", "validation": "validate"}
 """The options that are not named as the fields of a record are."""
@@ -32,11 +32,22 @@ def record_of(
             )
     names = _OPTIONS | {**(called or {})}
     given = {name: value for name, value in options.items() if value is not None}
+    if "units" in given:
+        given["units"] = _units(given["units"])
     columns = {name: _listed(given[name]) for name in ("input", "output", "missing") if name in given}
     try:
         return MeasuredRecord(file=[str(file) for file in files], **(given | columns))
     except ConfigError as error:
         raise ConfigError("\n".join(_by_option(line, names) for line in str(error).splitlines())) from None
+
+
+def _units(text: str) -> dict[str, str]:
+    units = _listed(text)
+    if len(units) > 3:
+        raise ConfigError(
+            f"--units: must be at most three, those of the input, the output and time (got '{text}')"
+        )
+    return dict(zip(Units.model_fields, units, strict=False))
 
 
 def _listed(columns: str) -> list[str]:

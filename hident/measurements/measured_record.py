@@ -322,6 +322,7 @@ class MeasuredRecord(Spec):
                 "output": selection.output or self.output,
             }
         )
+        _require_own_outputs(chosen)
         return [
             one
             for name, (file, *signals) in zip(_names(chosen), chosen, strict=True)
@@ -403,6 +404,18 @@ def _spread(lists: Mapping[str, Sequence[Any]]) -> list[tuple[Any, ...]]:
             )
     columns = [[*items] * (n if len(items) == 1 else 1) for items in lists.values()]
     return list(zip(*columns, strict=True))
+
+
+def _require_own_outputs(chosen: Sequence[tuple[Any, ...]]) -> None:
+    """Refuse several inputs of one output: these are no experiments."""
+    inputs: dict[tuple[Any, str], Any] = {}
+    for file, one, output in chosen:
+        other = inputs.setdefault((file, str(output)), one)
+        if str(other) != str(one):
+            raise ConfigError(
+                f"{file}: the output '{output}' has two inputs, '{other}' and '{one}': a list is one of "
+                "experiments, each with an output of its own, and a model has one input"
+            )
 
 
 def _names(chosen: Sequence[tuple[Any, ...]]) -> list[str]:

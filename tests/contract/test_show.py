@@ -84,6 +84,15 @@ def test_experiments_validation_and_figures(folder):
     assert "valve.csv, again.csv: 2000 samples in 2 experiments" in again.stdout
 
 
+def test_units_are_said(folder):
+    ended = show(folder, "valve.csv", "--input", "u", "--output", "y", "--dt", "2", "--units", "V, degC,s")
+    assert "valve.csv: 1000 samples every 2 s\n" in ended.stdout
+    assert " V  " in ended.stdout and " degC  " in ended.stdout
+    some = show(folder, "valve.csv", "--input", "u", "--output", "y", "--dt", "2", "--units", ",degC")
+    assert " V  " not in some.stdout and " degC  " in some.stdout
+    assert "every 2\n" in some.stdout
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -95,6 +104,10 @@ def test_experiments_validation_and_figures(folder):
         (
             "valve.csv --input uu --output y",
             "valve.csv: there is no column 'uu'; did you mean 'u'? (the file has: t, u, y, v, w)",
+        ),
+        (
+            "valve.csv --input u --output y --units V,V,s,Hz",
+            "--units: must be at most three, those of the input, the output and time (got 'V,V,s,Hz')",
         ),
         ("valve.csv --input u --output y --dt 0", "--dt: must be greater than 0 (got '0')"),
         ("valve.csv --input u --output y --dt 1 --time t", "--time: give --dt or --time, not both (got 't')"),
@@ -135,7 +148,7 @@ def test_bad_input_is_said_in_one_line(folder, arguments, message):
         b"u,y\nu,y\n1,2\n",
         b"u,u,y\n1,2,3\n",
         b"u,y\n\xff,1\n",
-        "u,y\n1,2\n".encode("utf-16"),
+        "u,y\n1,2\n".encode("utf-16")[:-1],
         np.random.default_rng(0).bytes(4000),
         b"u,y\n" + b"9" * 200_000,
     ],

@@ -58,7 +58,7 @@ def test_columns_are_experiments(folder):
         "y2": slice(10, 20),
     }
     np.testing.assert_array_equal(record.y[10:], column("y2")[10:20])
-    assert list(spec(input=["u1", "u2"]).read(folder).parts) == ["u1", "u2"]
+    assert list(spec(output=["y1", "y2"]).read(folder).parts) == ["y1", "y2"]
 
 
 def test_files_are_experiments(folder):
@@ -182,6 +182,11 @@ def test_uneven_times_are_interpolated_only_when_asked(folder):
             "'input' lists 2 (u1, u2) and 'output' 3: one is for all experiments, or one for each",
         ),
         ({"input": "y1"}, "the input and the output are one column, 'y1'"),
+        (
+            {"input": ["u1", "u2"], "output": "y1"},
+            "valve.csv: the output 'y1' has two inputs, 'u1' and 'u2': a list is one of "
+            "experiments, each with an output of its own, and a model has one input",
+        ),
         ({"gaps": "skip"}, "gaps: must be 'error' or 'split' (got 'skip')"),
     ],
 )
