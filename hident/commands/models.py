@@ -36,6 +36,7 @@ _ROUNDING = 1e-9
 def print_model(file: Path, out: Path | None) -> None:
     """Print the formulas of a model, and write its figures to a folder if one is given."""
     model = load_model(file)
+    _warn(_unstable(model))
     print(formulas(model))
     if out is not None:
         names = draw_model(model, out)
@@ -71,6 +72,7 @@ def convert_model(file: Path, to: str, out: Path | None) -> None:
     """Print the source that a model is converted to, or write it to a file."""
     wanted = target(to)
     model = load_model(file)
+    _warn(_unstable(model))
     if model.is_detrended:
         print(f"note: {level(model)}; so it is for the source", file=sys.stderr)
     if out is None:
@@ -132,8 +134,7 @@ def simulate_model(
         _settling(model, start)
     run = _Run(model, record, column, compare, steps, n_init, any_dt, options.get("detrend"))
     run.check(data)
-    for line in run.warnings():
-        print(f"warning: {line}", file=sys.stderr)
+    _warn(run.warnings())
     if out is not None:
         run.write(out)
     if plot is not None:
@@ -142,6 +143,22 @@ def simulate_model(
         print(line)
     for path in filter(None, (out, plot)):
         print(f"written: {path}")
+
+
+def _warn(lines: Sequence[str]) -> None:
+    for line in lines:
+        print(f"warning: {line}", file=sys.stderr)
+
+
+def _unstable(model: FittedModel) -> list[str]:
+    """Which linear blocks are unstable, in words; no fit gives one, and an edited file may."""
+    with np.errstate(all="ignore"):
+        return [
+            f"{name} is unstable, as it has a pole of modulus {block.radius():.4g}: "
+            "what it gives never settles"
+            for name, block in zip(model.chain.names, model.chain.blocks, strict=True)
+            if isinstance(block, TransferFunction) and not block.is_stable(integrators=True)
+        ]
 
 
 def _settling(model: FittedModel, start: str) -> None:
@@ -263,8 +280,11 @@ class _Run:
         return counted
 
     def warnings(self) -> list[str]:
-        """Where the record is not like that of the fit, in words: its trend, the ranges of static blocks."""
-        found = []
+        """Where the record is not like that of the fit, in words: its trend, the ranges of static blocks.
+
+        First of all, which blocks are unstable.
+        """
+        found = _unstable(self.model)
         if self.model.is_detrended and self.detrend != "linear":
             found.append(f"{level(self.model)}; '{self.column}' is taken as it stands")
         for i, (name, block) in enumerate(zip(self.model.chain.names, self.model.chain.blocks, strict=True)):

@@ -113,6 +113,27 @@ def test_an_input_beyond_the_range_of_the_fit_is_warned_of(folder):
     )
 
 
+@pytest.mark.parametrize(
+    "command", ["show wild.json", "convert wild.json --to python", "simulate wild.json tank.csv"]
+)
+def test_an_unstable_block_is_warned_of(folder, command):
+    wild = TransferFunction(b=(1.0,), a=(-1.01,))
+    hi.write_model(
+        replace(MODEL, chain=BlockChain((VALVE, wild), dt=4.0), start="rest"), folder / "wild.json"
+    )
+    done = run_forked(command.split(), folder)
+    assert (done.returncode, done.stderr) == (
+        0,
+        "warning: L is unstable, as it has a pole of modulus 1.01: what it gives never settles\n",
+    )
+    # An integrator only goes on.
+    level = replace(
+        MODEL, chain=BlockChain((VALVE, TransferFunction(b=(1.0,), a=(1.0,))), dt=4.0), start="rest"
+    )
+    hi.write_model(level, folder / "wild.json")
+    assert run_forked(command.split(), folder).stderr == ""
+
+
 def test_the_range_of_the_fit_is_in_the_unit_of_the_record_whatever_its_first_sample(folder):
     hi.write_model(replace(MODEL, about={**MODEL.about, "offsets": {"input": 20.0}}), folder / "off.json")
     save(folder / "wide.csv", u=np.array([1e20, 22.0, 23.0, 25.0]))
