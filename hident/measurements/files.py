@@ -47,8 +47,8 @@ def read_columns(
     blanks : bool
         Whether a value may be missing (an empty cell, na or nan): it is nan.
     times : str or int, optional
-        The column that may hold dates in text (ISO 8601, or 31.12.2024 12:00): it is in seconds since the
-        first one then.
+        The column that may hold dates, in text (ISO 8601, or 31.12.2024 12:00) or Parquet: it is in
+        seconds since the first one then.
     decimal : {".", ","}, optional
         What stands before the decimals of numbers in text; by default what they show.
 
@@ -71,8 +71,10 @@ def read_columns(
         if reader is None:
             *rest, last = _READERS
             raise ConfigError(f"{path}: the name must end in {one_of(rest)} or {last}")
-        of_text = {"times": times, "decimal": decimal} if reader is read_delimited else {}
-        return _of_one_length(path, wanted, reader(path, wanted, blanks=blanks, **of_text))
+        more: dict[str, Any] = {"times": times} if reader in (read_delimited, _parquet) else {}
+        if reader is read_delimited:
+            more["decimal"] = decimal
+        return _of_one_length(path, wanted, reader(path, wanted, blanks=blanks, **more))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
     except (NotText, UnicodeDecodeError, csv.Error, zipfile.BadZipFile, _NoSuchFormat):
@@ -120,7 +122,9 @@ def _npz(path: Path, wanted: Sequence[Column], *, blanks: bool) -> list[Array]:
             raise ConfigError(f"{path}: holds what is no array of numbers") from None
 
 
-def _parquet(path: Path, wanted: Sequence[Column], *, blanks: bool) -> list[Array]:
+def _parquet(
+    path: Path, wanted: Sequence[Column], *, blanks: bool, times: Column | None = None
+) -> list[Array]:
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -133,6 +137,7 @@ def _parquet(path: Path, wanted: Sequence[Column], *, blanks: bool) -> list[Arra
         except (pa.ArrowException, OSError):
             raise _NoSuchFormat from None
         chosen = [names[place] for place in places(path, wanted, names)]
+        clock = None if times is None else names[places(path, [times], names)[0]]
         try:
             frame = table.read(columns=list(dict.fromkeys(chosen)))
         except (pa.ArrowException, OSError):
@@ -143,10 +148,20 @@ def _parquet(path: Path, wanted: Sequence[Column], *, blanks: bool) -> list[Arra
         where = f"{path}: column '{name}'"
         if pa.types.is_decimal(column.type):
             column = column.cast(pa.float64())
+        if name == clock and pa.types.is_timestamp(column.type):
+            columns.append(numbers(where, _seconds(column.to_numpy()), blanks=blanks))
+            continue
         if not (_is_numeric(column.type)):
             raise ConfigError(f"{where}: must hold numbers, not {column.type}")
         columns.append(numbers(where, column.to_numpy(), blanks=blanks))
     return columns
+
+
+def _seconds(dates: np.ndarray[Any, Any]) -> Array:
+    """Seconds since the first date there is, nan where one is missing."""
+    there = dates[~np.isnat(dates)]
+    since: Array = (dates - there[0]) / np.timedelta64(1, "s") if len(there) else np.full(len(dates), np.nan)
+    return since
 
 
 def _is_numeric(kind: Any) -> bool:

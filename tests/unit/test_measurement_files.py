@@ -355,3 +355,20 @@ def test_a_date_that_is_missing_or_none_is_said(tmp_path):
     assert said(path, ["t"], times="t") == (
         ":3: all times must have an offset from UTC, or none (got '2024-03-01T12:01Z')"
     )
+
+
+@pytest.mark.parametrize("unit", ["ms", "us", "ns"])
+@pytest.mark.parametrize("zone", [None, "Europe/Berlin"])
+def test_dates_in_parquet_are_seconds_too(tmp_path, unit, zone):
+    pa = pytest.importorskip("pyarrow")
+    pq = pytest.importorskip("pyarrow.parquet")
+    scale = {"ms": 1, "us": 1000, "ns": 10**6}[unit]
+    t = pa.array([scale * (1_700_000_000_000 + k) for k in (0, 1, 2)], pa.timestamp(unit, zone))
+    path = tmp_path / "valve.parquet"
+    pq.write_table(pa.table({"t": t, "u": [1.0, 2.0, 3.0]}), path)
+    assert [c.tolist() for c in read_columns(path, ["t", "u"], times="t")] == [[0, 0.001, 0.002], [1, 2, 3]]
+    assert "column 't': must hold numbers, not timestamp" in said(path, ["t"])
+    holed = pa.array([None, scale * 1000, scale * 3000], pa.timestamp(unit, zone))
+    pq.write_table(pa.table({"t": holed}), path)
+    np.testing.assert_array_equal(read_columns(path, ["t"], times="t", blanks=True)[0], [np.nan, 0, 2])
+    assert said(path, ["t"], times="t").endswith(f"sample 1: must be a finite number (got nan){SPLIT}")
