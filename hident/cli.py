@@ -153,7 +153,7 @@ _WHICH: Mapping[str, Any] = {
         typer.Option(
             "--validate",
             metavar="WHAT",
-            help="For validation: FIRST..LAST, two columns INPUT,OUTPUT, or a file.",
+            help="For validation: FIRST..LAST, two columns INPUT,OUTPUT, or FILE[,INPUT,OUTPUT].",
         ),
     ],
     "units": Annotated[

@@ -78,22 +78,27 @@ def _a_range(text: str) -> str:
 
 
 def _selection(value: Any) -> Any:
-    """What stands for a mapping: a range, two columns, or a file."""
+    """What stands for a mapping: a range, two columns, or a file, also with its columns."""
     if isinstance(value, list | tuple) and len(value) == 2:
         return {"input": value[0], "output": value[1]}
     if not isinstance(value, str):
         return value
     try:
         range_of(value)
-    except ValueError:
+    except ValueError as error:
         if value.lower().endswith(SUFFIXES):
             return {"file": value}
-        columns = [name.strip() for name in value.split(",")]
-        if len(columns) == 2 and all(columns):
-            return {"input": columns[0], "output": columns[1]}
+        *file, one, other = ["", *(name.strip() for name in value.split(","))]
+        columns = {"input": one, "output": other}
+        if file == [""] and one and other:
+            return columns
+        if len(file) == 2 and file[1].lower().endswith(SUFFIXES) and one and other:
+            return columns | {"file": file[1]}
+        if ".." in value and "," not in value:
+            raise ValueError(str(error)) from None
         raise ValueError(
-            "must be a range of samples such as 801..1000, two columns such as 'uVal,yVal', a file, or a "
-            "mapping of 'file', 'input', 'output' and 'samples'"
+            "must be a range of samples such as 801..1000, two columns such as 'uVal,yVal', a file, also "
+            "with its columns as 'other.csv,u,y', or a mapping of 'file', 'input', 'output' and 'samples'"
         ) from None
     return {"samples": value}
 
@@ -182,7 +187,7 @@ class MeasuredRecord(Spec):
     estimation: Range | None = None
     """The samples to estimate from, such as 1..800, in each experiment, counted from 1; all by default."""
     validation: Annotated[Selection, BeforeValidator(_selection), _Shorthands()] | None = None
-    """What to validate on: a range such as 801..1000, two columns 'uVal,yVal', a file, or a mapping."""
+    """What to validate on: 801..1000, two columns 'uVal,yVal', a file, 'other.csv,u,y', or a mapping."""
     detrend: Trend | None = None
     """mean: takes the means of the estimation samples off all; linear: off each experiment its line."""
     offset: Offset | None = None

@@ -170,7 +170,7 @@ def _of_delay(found: Correlation | None, delay: Delay | None) -> Iterator[str]:
     if np.any((size > np.maximum(found.bound, max(by_chance, _AHEAD) * after))[found.lags < 0]):
         yield (
             "The output is correlated with later inputs: is there feedback, or are the input and the output "
-            "exchanged?"
+            "exchanged? Or is the input late, by its clock or its logger?"
         )
 
 

@@ -116,7 +116,7 @@ def test_no_correlation_and_one_with_later_inputs_are_said():
         "The output is not correlated with the input or its square: are these the right columns?"
         in " ".join(unrelated.wrong)
     )
-    assert "is there feedback, or are the input and the output exchanged?" in wrong(y, u)
+    assert "is there feedback, or are the input and the output exchanged? Or is the input late" in wrong(y, u)
 
 
 def test_experiments_are_not_mixed():

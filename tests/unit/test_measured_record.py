@@ -172,8 +172,16 @@ def test_uneven_times_are_interpolated_only_when_asked(folder):
         (
             {"validation": "u2"},
             "validation: must be a range of samples such as 801..1000, two columns "
-            "such as 'uVal,yVal', a file, or a mapping of "
+            "such as 'uVal,yVal', a file, also with its columns as 'other.csv,u,y', or a mapping of "
             "'file', 'input', 'output' and 'samples' (got 'u2')",
+        ),
+        (
+            {"validation": "100..61", "estimation": "1..60"},
+            "validation: must be a range FIRST..LAST with 1 <= FIRST <= LAST (got '100..61')",
+        ),
+        (
+            {"validation": "other.csv,u1,x"},
+            "other.csv: there is no column 'x' (the file has: t, u1, u2, y1, y2)",
         ),
         ({"validation": {}}, "validation: must name a file, columns or a range of samples"),
         ({"validation": "u2,y3"}, "valve.csv: there is no column 'y3' (the file has: t, u1, u2, y1, y2)"),
@@ -212,6 +220,9 @@ def test_the_digest_is_that_of_the_bytes(folder):
     both = sha256(f"{one}{other}".encode())
     assert spec(file=["valve.csv", "other.csv"]).digest(folder) == both
     assert spec(validation="other.csv").digest(folder) == both
+    assert spec(validation="other.csv, u2, y2") == spec(
+        validation={"file": "other.csv", "input": "u2", "output": "y2"}
+    )
     with pytest.raises(ConfigError, match=r"none\.csv: cannot be read: no such file or directory"):
         spec(file="none.csv").digest(folder)
 
