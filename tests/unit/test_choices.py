@@ -202,8 +202,8 @@ def test_a_partition_search_with_few_pairs_left_shows_their_numbers(falling):
         draw_partition(axes, PartitionSearch(lower, upper, loss, (-0.45, 1.9), 1.9))
         figure.draw_without_rendering()
         numbers = {text.get_text(): text.get_position() for text in axes.texts}
-        assert numbers["1.5"] == pytest.approx((-0.4, 1.8))
-        assert numbers["1"] == pytest.approx((-0.4, 2.0))
+        assert numbers["1.50"] == pytest.approx((-0.4, 1.8))
+        assert numbers["1.00"] == pytest.approx((-0.4, 2.0))
         # From a point of the grid beyond what is shown to the last one, with a margin.
         assert axes.get_xlim() == pytest.approx((-0.6 - 0.032, -0.2 + 0.032))
         assert axes.get_ylim() == pytest.approx((1.6 - 0.032, 2.0 + 0.032))
