@@ -181,6 +181,11 @@ def read_leniently(path: Path, content: bytes | None = None) -> Document:
         if path.parent == Path() and not path.suffix:
             # A bare name is that of a file under configs/.
             near += [other.stem for other in sorted(Path("configs").glob("*.yaml"))]
+            if not near and not Path("configs").is_dir():
+                raise ConfigError(
+                    f"{path}: no such file, and no folder configs is here, in which such a name is looked "
+                    "for: run hident in the folder that holds it, or give the path of a file"
+                ) from None
         raise ConfigError(f"{path}: no such file{did_you_mean(str(path), near)}") from None
     except UnicodeDecodeError as error:
         line = error.object.count(b"\n", 0, error.start) + 1

@@ -259,6 +259,16 @@ def test_a_file_that_is_none(tmp_path, monkeypatch):
         assert str(caught.value) == message
 
 
+def test_a_bare_name_away_from_the_configurations_is_told_where_they_are_looked_for(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError) as caught:
+        read(type(tmp_path)("table1"))
+    assert str(caught.value) == (
+        "table1: no such file, and no folder configs is here, in which such a name is looked for: "
+        "run hident in the folder that holds it, or give the path of a file"
+    )
+
+
 def test_what_is_only_unclear_can_be_collected(tmp_path):
     path = tmp_path / "a.yaml"
     path.write_text("a: 1\na: 2\n")

@@ -176,9 +176,18 @@ def test_a_bound_says_how_many_trials_keep_it_and_whether_it_is_allowed_itself(r
 
 
 def test_an_uncounted_number_is_no_verdict(read):
-    said = detail_of(read["runs/chen_table1.html"], "the coefficient is not there")
+    said = detail_of(read["runs/chen_table1.html"], "the model that is fitted has no such coefficient")
     assert "ours rounds" not in said
     assert "none, as all trials give the same" in said
+
+
+def test_the_commands_of_a_number_lead_to_where_they_are_to_be_given(read):
+    page = read["runs/chen_table1.html"]
+    numbers = [one for one in page.of("button") if "number" in (one["attributes"].get("class") or "").split()]
+    links = [one for one in page.of("a") if one["text"] == "commands"]
+    assert len(links) == len(numbers) > 0
+    assert {one["attributes"]["href"] for one in links} == {"#again"}
+    assert "again" in {one["attributes"].get("id") for one in page.of("h2")}
 
 
 def flags(page):

@@ -129,6 +129,8 @@ SITE = [
     Written("a.html", "Wiener systems", "Handbook", "", "a neutralisation of the pH, its VIF is 1.5"),
     Written("b.html", "Two stages", "Components", "", "by singular value decomposition of matrices"),
     Written("c.html", "Cite", "Handbook", "", "persistently exciting; modelling in colour. 223.2076"),
+    Written("runs/tanks.html", "Tanks by prediction error", "Runs", "", "a model and another"),
+    Written("components/prediction_error.html", "prediction_error", "Components", "", "a method"),
     Written("d.html", "Others", "Runs", "", "system var delta; Weierstrass; one excitation; to tell how"),
 ]
 
@@ -180,6 +182,12 @@ def test_words_are_found_in_other_forms(page, query, titles):
     said, found = sought(page, query)
     assert found == titles
     assert said == f"1 result for “{query}”"
+
+
+@pytest.mark.parametrize("query", ["prediction error", "prediction_error", "Prediction Error"])
+def test_the_page_of_a_name_comes_first_whether_its_words_are_joined_or_not(page, query):
+    _, found = sought(page, query)
+    assert found[0] == "prediction_error"
 
 
 @pytest.mark.parametrize("query", ["Weiner", "Wienr", "Wieener", "Wiemer"])

@@ -29,14 +29,14 @@ MEANINGS = {
     "differs": "the printed number lies outside of the interval that our trials give",
 }
 MARKS = {
-    "structural": "not counted: the coefficient is not there, and zero in all trials",
+    "structural": "not counted: the model that is fitted has no such coefficient, so that it is always zero",
     "duplicate": "not counted: the same cell is printed twice",
     "circular": "not counted: the printed number is the truth of the configuration",
     "misprint": "the paper itself shows it, so the joint test leaves the number out",
     "multiplicity": "some number of so many differs by chance; the table as a whole is sound",
 }
 UNCOUNTED = {
-    "structural": "belong to coefficients that are not there",
+    "structural": "belong to coefficients that the fitted model does not have",
     "duplicate": "are printed a second time",
     "circular": "are the truth of the configuration",
 }

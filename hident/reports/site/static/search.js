@@ -100,6 +100,8 @@
   function begins(one, text) { return one.begins.test(text.plain) || one.folded.test(text.folded); }
   function isWhole(one, text) { return one.whole.test(text.plain) || one.singly.test(text.folded); }
 
+  function apart(name) { return name.replace(/_/g, " "); }
+
   // Titles count most.
   function worth(one, entry) {
     const titled = [entry.words, entry.name].filter(function (title) { return begins(one, title); });
@@ -117,7 +119,8 @@
       const worths = patterns.map(function (one) { return worth(one, entry); }).filter(Boolean);
       if (worths.length < least) continue;
       let score = worths.reduce(function (sum, one) { return sum + one; }, 0);
-      if (entry.words.plain === words || entry.name.plain === words) score += 40;
+      // "prediction error" names prediction_error.
+      if ([entry.words, entry.name].some(function (title) { return apart(title.plain) === apart(words); })) score += 40;
       if (entry.isPage) score += 3;
       found.push({ entry, score, has: worths.length });
     }
